@@ -85,3 +85,10 @@ def test_a_longer_dark_that_was_colder_contradicts_nothing():
 def test_darks_without_hot_pixels_say_nothing(monkeypatch):
     monkeypatch.setattr(f"{__name__}.RATE", np.zeros(SIZE))
     assert faults(series(took={10.0: 2.0})).charge == ""
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_a_dark_that_is_brighter_than_a_flat_exposed_for_as_long_is_said(swapped):
+    lit, unlit = ("dark", "flat") if swapped else ("flat", "dark")
+    said = faults([recorded(lit, 1.0, lamp=1500.0), recorded(unlit, 1.0), recorded("dark", 4.0)]).lights
+    assert bool(re.match(r"dark_1s.h5 is a dark and \d+ DN brighter than flat_1s.h5", said)) == swapped

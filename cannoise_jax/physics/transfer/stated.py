@@ -7,6 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
+from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.black import black_level
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.recordings.folders.sites import greens_apart
@@ -20,6 +21,8 @@ _ALIKE = 0.02
 _GROWS = 0.1
 """Of what dark charge should grow by, that which it grows by at most where an exposure is wrong."""
 _KELVIN = 1.0
+_ABOVE = 5.0
+"""Times what the pixels of a flat differ by, which a dark is brighter: an offset that drifts is less."""
 _SURE, _FEWEST = 10.0, 20
 """Standard errors that the charge of a hot pixel lies above none, and how many have to."""
 _CLIPPED = 0.01
@@ -39,9 +42,28 @@ def colours_line(statistics: Sequence[FrameStatistics]) -> str:
 
 
 def exposures_lines(statistics: Sequence[FrameStatistics]) -> tuple[str, str]:
-    """Flats of one level and darks of one charge whose exposures are far apart: a line of each, empty where
-    there are none."""
-    return _flats(statistics), _darks(statistics)
+    """Flats of one level, or darker than darks, and darks of one charge, of exposures that say otherwise: a
+    line of each, empty where there are none."""
+    return _exchanged(statistics) or _flats(statistics), _darks(statistics)
+
+
+def _exchanged(statistics: Sequence[FrameStatistics]) -> str:
+    """A dark that lies far above a flat that was exposed for as long."""
+    darks = [s for s in statistics if s.recording.kind in DARK and s.recording.exposure_s is not None]
+    for flat in statistics:
+        seconds = flat.recording.exposure_s
+        if flat.recording.kind != "flat" or seconds is None:
+            continue
+        for dark in darks:
+            above = float(np.median(dark.mean)) - float(np.median(flat.mean))
+            as_long = (dark.recording.exposure_s or 0.0) <= _LONGER * seconds
+            if as_long and above > _ABOVE * max(float(np.std(flat.frame_means)), robust_std(flat.mean), 1.0):
+                return (
+                    f"{_name(dark)} is a dark and {above:.0f} DN brighter than {_name(flat)}, a flat exposed "
+                    "for as long: light reached the one or none the other, or they are exchanged: mend what "
+                    "is stated, all that darks or flats tell is wrong with it"
+                )
+    return ""
 
 
 def _flats(statistics: Sequence[FrameStatistics]) -> str:
