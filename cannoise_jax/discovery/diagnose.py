@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from cannoise_jax.discovery.compare.remainder import with_remainder
+from cannoise_jax.discovery.compare.sources import Source, shaded
 from cannoise_jax.discovery.frames.battery import Prepared
 from cannoise_jax.discovery.frames.calls import checked_capture, checked_key
 from cannoise_jax.discovery.frames.faults import (
@@ -25,6 +26,7 @@ from cannoise_jax.discovery.frames.faults import (
     without_moving,
 )
 from cannoise_jax.discovery.frames.simulate import Draw
+from cannoise_jax.discovery.frames.smooth import shades
 from cannoise_jax.discovery.frames.splits import Splits, read_once, splits_of
 from cannoise_jax.discovery.proof.adequacy import described, doubts, withdrawn
 from cannoise_jax.discovery.proof.check import Checked, check, source_of
@@ -150,8 +152,9 @@ def diagnose(
             chance, own_key = alpha * SHARED.layer, jax.random.fold_in(key, 5)
             shown = [p.confirmed for p in unconfirmed(proven, fitted.steps).each]
             against = doubts(
-                judged.capture, splits.frames, fitted.steps, sides.of, own_key, chance, shown, tell
-            )
+                judged.capture, splits.frames, fitted.steps, sides.of, own_key, chance, shown, tell,
+                shades(first.stacks),
+            )  # fmt: skip
         tell("remainder: what is left, measured as it is")
         rest = partial(with_remainder, judged.capture, key=jax.random.fold_in(key, 3), tell=tell)
         well, sure = described(fitted.steps, against), sure_of(fitted.steps, against)
@@ -238,12 +241,16 @@ def checked(
     """What differs between the frames held back and draws before and after (None: none can be drawn), and the
     simulator that is handed back. Where more differs than before, the first of what is `instead` is by which
     less does; where too few frames were held back for the gate, all that was found goes."""
-    before = source_of(sides.model, sides.plain, judged.label, key)
+    light = shades(splits.looking.stacks)
+    before = shaded(source_of(sides.model, sides.plain, judged.label, key), light)
     model = sides.exported if gated is None else gated.model
 
     def against(model: SensorModel) -> Checked:
-        after = None if model is sides.model else lambda: source_of(model, sides.plain, AFTER, key)
-        return check(judged.capture, splits.frames, before, after, alpha * SHARED.layer, tell)
+        def after() -> Source:
+            return shaded(source_of(model, sides.plain, AFTER, key), light)
+
+        own = None if model is sides.model else after
+        return check(judged.capture, splits.frames, before, own, alpha * SHARED.layer, tell)
 
     try:
         found = against(model)

@@ -8,7 +8,14 @@ import pytest
 
 from cannoise_jax.discovery.compare.families import STATIC, STRUCTURE, of
 from cannoise_jax.discovery.compare.measure import shared, shared_variance
-from cannoise_jax.discovery.compare.moves import JUMPS, LEVEL_CHANCES, lines_after, lone_values, two_levels
+from cannoise_jax.discovery.compare.moves import (
+    JUMPS,
+    LEVEL_CHANCES,
+    lines_after,
+    lone_values,
+    noise_of_lines,
+    two_levels,
+)
 from cannoise_jax.discovery.compare.run import compare_bank
 from cannoise_jax.discovery.compare.sources import modelled
 from cannoise_jax.discovery.frames.battery import prepare
@@ -19,6 +26,7 @@ from cannoise_jax.discovery.proof.claims import forgetful
 from cannoise_jax.discovery.proof.claims import two_levels as more_levels
 from cannoise_jax.discovery.proof.own_part import borne_by
 from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.signatures import laws
 from cannoise_jax.signatures.carriers import carrier, refined
 from cannoise_jax.signatures.fields import helmert
 from tests.discovery.capture import capture_set, row_offsets
@@ -151,6 +159,39 @@ def test_lines_of_independent_frames_scatter_as_stated(spectrum):
     values, stated = (np.array(v) for v in zip(*(draw() for _ in range(200)), strict=True))
     scatter = values.var(0) / stated.mean(0)
     assert (scatter > 0.3).all() and (scatter < 2.0).all()
+
+
+UNEVEN = {
+    "white": lambda rng, shape: rng.standard_normal(shape),
+    "tails": lambda rng, shape: rng.standard_t(5, shape),
+    "pixels": lambda rng, shape: rng.standard_normal(shape) * np.exp(0.35 * rng.standard_normal(shape[1:])),
+    "rows": lambda rng, shape: rng.standard_normal(shape) + rng.standard_normal((shape[0], shape[1], 1)),
+    "columns": lambda rng, shape: (
+        rng.standard_normal(shape) * np.exp(0.06 * rng.standard_normal((1, 1, shape[2])))
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", UNEVEN)
+def test_noise_of_lines_is_alike_unless_lines_have_noise_of_their_own(kind):
+    rng, shape = np.random.default_rng(12), (7, 96, 128)
+    kept = np.ones(shape[1:], bool)
+
+    def measured(kind):
+        z = UNEVEN[kind](rng, shape)
+        return noise_of_lines((z / z.std()).astype(np.float32), kept)
+
+    z = []
+    for _ in range(60):
+        values, variance = measured(kind)
+        simulated = np.stack([measured("white" if kind == "columns" else kind)[0][None] for _ in range(2)])
+        z.append(laws.compare_means(values[None], simulated, variance).z)
+    rows, columns = np.transpose(z)
+    assert np.std(rows) == pytest.approx(1, abs=0.3) and np.abs(rows).max() < 4
+    if kind == "columns":
+        assert np.median(columns) > 7
+    else:
+        assert np.std(columns) == pytest.approx(1, abs=0.3) and np.abs(columns).max() < 4
 
 
 def test_names_are_held_against_frames_in_the_order_they_were_taken():

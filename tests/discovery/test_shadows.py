@@ -2,17 +2,23 @@
 
 import dataclasses
 
+import jax
 import numpy as np
 import pytest
 from scipy import ndimage
 
+from cannoise_jax.discovery.compare.families import STATIC
+from cannoise_jax.discovery.compare.run import compare_bank
+from cannoise_jax.discovery.compare.sources import modelled, shaded
+from cannoise_jax.discovery.compare.table import differences
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.frames.contrasts import Stack, stack
 from cannoise_jax.discovery.frames.dust import beside_dust
 from cannoise_jax.discovery.frames.shadows import light_at, places, shadows
-from cannoise_jax.discovery.frames.smooth import light_of, smooth_mean
+from cannoise_jax.discovery.frames.smooth import light_of, shades, smooth_mean
 from cannoise_jax.discovery.report.document import document
 from cannoise_jax.discovery.report.light import sentence_of
+from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import CaptureSet, Recording
 
 SIZE = (192, 256)
@@ -133,6 +139,19 @@ def test_a_wide_deep_shadow_does_not_bend_the_surface_beside_it():
     surface, _ = light_of(flat)
     assert np.std((surface - 200) / 24000 - 1) < 0.002
     assert np.mean(flat.dust) < 2 * np.mean(deep < 0.99)
+
+
+def test_shadows_in_the_light_are_no_mismatch_of_the_simulator():
+    """The layer draws flats under the light that they had, shadows in it."""
+    capture = recordings(1 + dust())
+    camera = SensorModel.poisson_gaussian(2.0, 3.0, 200, 65535, "MONO").with_mechanism("prnu", sigma=0.005)
+    right = modelled(camera, jax.random.key(1))
+    found = differences(compare_bank(capture, right, alpha=0.01))
+    assert any(d.time == STATIC for d in found)
+    light = shades(stacks(capture))
+    assert sorted(light) == [1, 2] and max(light[1].min(), light[2].min()) < -0.03
+    left = differences(compare_bank(capture, shaded(right, light), alpha=0.01))
+    assert sum(d.nats for d in left if d.time == STATIC) < 0.02 * sum(d.nats for d in found)
 
 
 @pytest.mark.slow

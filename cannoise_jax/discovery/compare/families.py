@@ -15,7 +15,7 @@ TEMPORAL, STATIC = words.TEMPORAL, words.STATIC
 STRUCTURE, SPARSITY, MOMENTS, TAILS = "structure", "sparsity", "moments", "tails"
 NEIGHBOURS, BY_PARITY = "neighbours", "neighbours by parity"
 UNSTEADY, IN_ONE_FRAME, STANDING_OUT = "pixels: unsteady", "pixels: one frame only", "pixels: standing out"
-LEVELS, NEXT_LINES = "pixels: levels", "next frame: lines"
+LEVELS, NEXT_LINES, LINE_NOISE = "pixels: levels", "next frame: lines", "noise of lines"
 NEXT_FRAME, RAILS, CODES, LEVEL = "next frame: products", "rails", "codes", "level"
 SMOOTH_MAPS, SHARED = "smooth maps", "shared with another recording"
 
@@ -84,6 +84,11 @@ def _jump(k: int) -> tuple[str, str]:
     return words.jump(-JUMPS[size] if side == 0 else JUMPS[size], JUMPS[size] >= SINGLE)
 
 
+def _of_noise(variance: float) -> float:
+    """Percent by which noise differs whose power has this relative variance."""
+    return 50 * float(np.sqrt(max(variance, 0.0)))
+
+
 def _line(k: int) -> tuple[str, str]:
     return words.line_memory(k < len(LINE_LAGS), LINE_LAGS[k % len(LINE_LAGS)])
 
@@ -107,6 +112,7 @@ FAMILIES = {
         Family("", STANDING_OUT, STATIC, pieces.counts(lambda k: words.standing_out(STANDING_SIGMAS[k]))),
         Family("", NEXT_FRAME, TEMPORAL, pieces.means(lambda k: words.memory(*NEXT_LAGS[k]))),
         Family("", NEXT_LINES, TEMPORAL, pieces.means(_line)),
+        Family("", LINE_NOISE, TEMPORAL, pieces.means(words.line_noise, "% of the noise, rms", _of_noise)),
         Family("", RAILS, TEMPORAL, pieces.counts(words.rails, per_frame=True)),
         Family("", CODES, TEMPORAL, pieces.counts(lambda k: words.code(k, RESIDUES), per_frame=True)),
         Family("", SHARED, STATIC, pieces.means(words.shared)),

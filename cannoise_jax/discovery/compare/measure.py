@@ -14,6 +14,7 @@ from cannoise_jax.discovery.compare.families import (
     IN_ONE_FRAME,
     LEVEL,
     LEVELS,
+    LINE_NOISE,
     MOMENTS,
     NEIGHBOURS,
     NEXT_FRAME,
@@ -34,7 +35,7 @@ from cannoise_jax.discovery.compare.families import (
     UNSTEADY_CHANCES,
     of,
 )
-from cannoise_jax.discovery.compare.moves import lines_after
+from cannoise_jax.discovery.compare.moves import lines_after, noise_of_lines
 from cannoise_jax.discovery.compare.view import RESIDUES, View
 from cannoise_jax.signatures import bank
 from cannoise_jax.signatures.fields import helmert
@@ -101,6 +102,8 @@ def measure(
         under = [(seen.steadiness[seen.usable] < stats.chi2.ppf(p, n) / n).sum() for p in QUIET_CHANCES]
         families[UNSTEADY] = _count(np.array([[*over, *under]]))
         families[LEVELS] = _count(seen.levels[None])
+        unlike, width = noise_of_lines(seen.z, seen.kept)
+        families[LINE_NOISE] = Statistics("mean", unlike[None], width)
         frames = len(seen.single)
         if frames > 1:
             families[IN_ONE_FRAME] = _count(seen.single)

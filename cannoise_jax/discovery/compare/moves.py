@@ -1,5 +1,5 @@
 """How single pixels and whole lines move from frame to frame: the law of single jumps, whether two levels are
-enough for a pixel that is unsteady, and what a line has of the frame before."""
+enough for an unsteady pixel, what a line has of the frame before, and how unlike lines are in noise."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import stats
 
+from cannoise_jax.signatures import bank
 from cannoise_jax.signatures.fields import helmert
 
 JUMPS = (2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
@@ -84,4 +85,30 @@ def lines_after(
             b = second[:, max(lag, 0) : side - max(-lag, 0)]
             out.append(float(np.mean(a * b)) / level)
             variance.append(float(np.sum(power**2) / np.sum(power) ** 2) / len(first))
+    return np.array(out), np.array(variance)
+
+
+_FAR = 3.0
+"""Standard deviations to which values are brought in: noise of a line is that of most of its pixels."""
+
+
+def noise_of_lines(
+    z: Float[np.ndarray, "n h w"], kept: Bool[np.ndarray, "h w"]
+) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
+    """Variance, from row to row and from column to column, of the power of their pixels' noise, over the
+    square of its mean, beyond what the pixels of a line differ by; and its variance where pixels differ by
+    themselves alone. What whole lines share is taken out first."""
+    power = np.zeros(kept.shape)
+    for contrast in z:
+        power += np.minimum(np.abs(bank.without_lines(contrast)), np.float32(_FAR)) ** 2 * kept
+    power /= len(z)
+    out, variance = [], []
+    for axis in (1, 0):
+        count = np.maximum(kept.sum(axis), 1)
+        own = power.sum(axis) / count
+        mean = max(float(own.mean()), 1e-9)
+        within = np.sum(power**2, axis) / count - own**2
+        chance = max(float(np.mean(within / count)), 1e-12)
+        out.append((float(np.var(own, ddof=1)) - chance) / mean**2)
+        variance.append(2 * (chance / mean**2) ** 2 / own.size)
     return np.array(out), np.array(variance)

@@ -235,15 +235,19 @@ def counts(called: Called, per_frame: bool = False) -> Lines:
     return lines
 
 
-def means(called: Called, unit: str = "% correlation") -> Lines:
-    """Of means, by sign; unit: DN for those of the static map in standard deviations of its noise."""
+def means(
+    called: Called, unit: str = "% correlation", shown: Callable[[float], float] | None = None
+) -> Lines:
+    """Of means, by sign; unit: DN for those of the static map in standard deviations of its noise. shown: of
+    one in the table; None: percent."""
 
     def lines(compared: Compared, j: Judgement, found: np.ndarray, time: str) -> list[Piece]:
         out = []
         for sign, k, best in _by_sign(j, found):
             what, note = called(best)
             scale = _scale(compared, j.where, words.STATIC) if unit == "DN" else 100.0
-            a, b = (float(v[best]) * scale for v in (j.recorded, j.simulated))
+            both = (float(v[best]) for v in (j.recorded, j.simulated))
+            a, b = (v * scale if shown is None else shown(v) for v in both)
             nats = max(_nats_of_means(compared, j, k), 0.0)
             out.append(Piece((what, time), sign, a, b, unit, j.where, nats, float(j.z[best]), note))
         return out

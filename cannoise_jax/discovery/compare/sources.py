@@ -6,7 +6,7 @@ set where none were measured, so that a set is another unit of the camera."""
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -100,6 +100,19 @@ def modelled(model: SensorModel, key: Key[Array, ""]) -> Source:
     white, gain = float(np.asarray(model.white_level)), np.asarray(model.gain_dn_per_e)[0]
     read = float(np.mean((gain * np.asarray(model.read_noise_e)[0]) ** 2))
     return Source(model.camera, frames, None, black, white, read=read, gain=float(np.mean(gain)))
+
+
+def shaded(source: Source, shades: Mapping[int, Float[np.ndarray, "h w"]]) -> Source:
+    """The source under lights with shadows of dust in them, by number of the recording as shares of it: the
+    smooth surface of a flat holds none, and they are no mismatch."""
+    if not shades:
+        return source
+
+    def frames(number_of_set: int, number: int, clean, settings: Settings):
+        lit = clean * (1 + shades[number]) if number in shades else clean
+        return source.frames(number_of_set, number, np.asarray(lit, np.float32), settings)
+
+    return source._replace(frames=frames)
 
 
 def _recorded(simulated: CaptureSet, capture: CaptureSet) -> Source:

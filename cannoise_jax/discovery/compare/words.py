@@ -155,6 +155,11 @@ def line_memory(rows: bool, lag: int) -> tuple[str, str]:
     return f"{what} that remember the frame before", f"{lag:+d} {what}"
 
 
+def line_noise(index: int) -> tuple[str, str]:
+    """Noise of the pixels of lines, one line against the others."""
+    return "noise unlike from line to line", ("rows", "columns")[index]
+
+
 def smooth(name: str) -> tuple[str, str]:
     """A smooth part of the fixed map."""
     return "smooth fixed pattern", place(name)

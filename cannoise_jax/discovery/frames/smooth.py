@@ -10,6 +10,7 @@ are added, two degrees more are, for what one flat alone lets pass.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -51,6 +52,11 @@ def light_of(stacked: Stack) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray
     if stacked.dust is None:
         return surface, np.zeros(surface.shape)
     return surface, light_at(relative(stacked, surface), stacked.dust)
+
+
+def shades(stacks: Sequence[Stack]) -> dict[int, Float[np.ndarray, "h w"]]:
+    """By number of the recording, what shadows add to the light of flats that hold some, as a share of it."""
+    return {s.number: light_of(s)[1] for s in stacks if s.dust is not None and s.dust.any()}
 
 
 def relative(stacked: Stack, surface: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:

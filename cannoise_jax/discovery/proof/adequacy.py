@@ -11,15 +11,16 @@ there leaves a good part of it, or more than there was.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import count
+from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Array, Key
 
 from cannoise_jax.discovery.compare.families import SPARSITY, TEMPORAL, of
 from cannoise_jax.discovery.compare.run import Compared, compare_bank
-from cannoise_jax.discovery.compare.sources import Source, modelled
+from cannoise_jax.discovery.compare.sources import Source, modelled, shaded
 from cannoise_jax.discovery.compare.table import differences, lines_of
 from cannoise_jax.discovery.proof.check import frames_for_names
 from cannoise_jax.discovery.proof.claims import by_level, empty, forgetful, lasting, two_levels
@@ -97,12 +98,13 @@ def doubts(
     alpha: float,
     confirmed: Sequence[bool],
     tell: Callable[[str], None] = lambda text: None,
+    shades: Mapping[int, np.ndarray] = MappingProxyType({}),
 ) -> tuple[Doubt | None, ...]:
     """What speaks against the name of each step, on all frames; None: nothing does, or it has none.
 
     of: the camera model with some of the steps, and one of them `silent` where asked, see
     `model.extended_model`. alpha: chance that something is said against a true one. confirmed: whether the
-    frames held back show each step.
+    frames held back show each step. shades: as `sources.shaded` has them.
     """
     named = [n for n, s in enumerate(steps) if s.named.mechanism != UNKNOWN]
     out: list[Doubt | None] = [None] * len(steps)
@@ -113,7 +115,7 @@ def doubts(
     off = [_off(s, n) for n, s in enumerate(steps)]
 
     def drawn_from(model: SensorModel, names: Sequence[int]) -> Compared:
-        source = beside(modelled(model, key), [o for n in names if (o := off[n])], capture)
+        source = beside(shaded(modelled(model, key), shades), [o for n in names if (o := off[n])], capture)
         return compare_bank(capture, source, alpha=alpha, held_back=chosen, sets=2)
 
     model, plain, every = of(steps), of(()), list(range(len(steps)))
