@@ -205,6 +205,8 @@ def test_what_is_found_elsewhere_is_no_gain(other, gains):
 @pytest.mark.parametrize(
     ("name", "again", "gain", "gone"),
     [
+        ("dsnu", (0.0, 0.4), 0.5, True),  # a map that is another one in them
+        ("dsnu", (0.3, 0.4), 0.5, False),
         ("row_noise", (0.0, 0.1), -0.6, True),  # excluded: at most 0.16 of the 1.0 that was found
         ("row_noise", (0.0, 0.4), -0.6, False),  # too few frames to say
         ("row_noise", (0.0, 0.1), 2.0, False),  # they gain by it
@@ -218,7 +220,7 @@ def test_what_the_frames_held_back_exclude_is_no_finding(name, again, gain, gone
         log_p=-20.0, gain=25.0, penalty=3.0, amplitude=1.0, error=0.2, shift=0.3, power=2,
         parameters={}, where={"axis": "row"},
     )  # fmt: skip
-    rows = SIGNATURES["row_additive_temporal"]
+    rows = SIGNATURES["pixel_additive_static" if name == "dsnu" else "row_additive_temporal"]
     step = Step(Named(found, rows, name, ((name, 1.0),), False), (), -20.0)
     proof = Proof(found.replace(amplitude=again[0], error=again[1]), gain, gain - 1, gain + 1, 9)
     empty = Located({}, {}, 1.0)

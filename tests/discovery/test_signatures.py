@@ -102,6 +102,17 @@ def test_a_score_of_nothing_can_be_used_as_any_other(signature):
             assert all(np.isfinite(np.asarray(v)).all() for v in held)
 
 
+@pytest.mark.parametrize("signature", ALL, ids=names(ALL))
+def test_whether_a_finding_is_in_a_camera_model_is_told_without_its_map(signature):
+    signature, fields = shown(signature.name)
+    score = signature.score(fields)
+    found = found_by(signature, fields, score, signature.mechanism or UNKNOWN)
+    even = found._replace(pattern=np.ones(found.size))
+    with np.errstate(all="raise", under="ignore"):
+        for way in (signature.simulate, signature.place):
+            assert (way(even) is None) == (way(found) is None)
+
+
 @pytest.mark.parametrize("signature", SHARED, ids=names(SHARED))
 def test_what_is_planted_is_found_with_its_strength_and_taken_out(signature):
     fields, amplitude = planted(signature, 100.0)

@@ -86,9 +86,14 @@ def refuted(step: Step, proof: Proof) -> bool:
     """Whether the frames held back exclude a finding: they gain nothing by it, and the strength that they
     show, which is zero, leaves no room for half of that of the frames that looked. Of one without a name
     that they gain nothing is enough: nothing but its strength speaks for it, and a law that is a little off,
-    as that of noise along the raster, leaves as much."""
+    as that of noise along the raster, leaves as much. A map that is drawn once has to be the same in both: of
+    one that the frames held back have at no strength nothing would be handed back but its name."""
     found, again = step.named.score, proof.score
-    if step.late or again is None or proof.confirmed or proof.gain is None or proof.gain > 0:
+    if step.late or again is None or proof.confirmed or proof.gain is None:
+        return False
+    if step.named.signature.drawn_once and again.amplitude == 0:
+        return True
+    if proof.gain > 0:
         return False
     if step.named.signature.single_pixels:
         return False  # a few pixels may not jump again in few frames

@@ -12,6 +12,7 @@ from cannoise_jax.discovery.frames.faults import at_iso
 from cannoise_jax.discovery.proof.gate import Gated, Tried
 from cannoise_jax.discovery.proof.judged import CALIBRATED
 from cannoise_jax.discovery.result import Result
+from cannoise_jax.discovery.search.model import adds
 from cannoise_jax.mechanisms.pedestal import LEVELS, PEDESTAL
 from cannoise_jax.physics.core.settings import black_levels
 from cannoise_jax.physics.transfer.faults import Faults
@@ -132,10 +133,12 @@ def score_of(gated: Gated) -> float:
 
 
 def entered(diagnosis: Result, n: int) -> bool | None:
-    """Whether a finding is in the simulator that is handed back; None where none was chosen by draws."""
+    """Whether a finding is in the simulator that is handed back, which cannot hold all that is found; None
+    where none was chosen by draws."""
+    step = diagnosis.fitted.steps[n]
     if diagnosis.gated is None:
         return None if diagnosis.entered else False
-    return diagnosis.fitted.steps[n] in diagnosis.gated.steps
+    return step in diagnosis.gated.steps and adds(step, diagnosis.first)
 
 
 def gate(diagnosis: Result) -> dict[str, Any] | None:

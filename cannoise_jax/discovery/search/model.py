@@ -149,10 +149,26 @@ def _merged(
 def addition(step: Step, prepared: Prepared, pattern: np.ndarray | None) -> Addition | None:
     """What a finding with this frozen map adds to a camera model, by its name or else by its place in the
     grammar; None: nothing."""
-    signature, score = step.named.signature, step.named.score
+    found, signature = _found(step, prepared, pattern), step.named.signature
+    return signature.place(found) if step.named.mechanism == UNKNOWN else signature.simulate(found)
+
+
+def adds(step: Step, prepared: Prepared) -> bool:
+    """Whether a finding adds anything to a camera model. One that has lost its name is in it as what it was
+    called."""
+    found, signature = _found(step, prepared, np.ones(prepared.fields[0].mean.shape)), step.named.signature
+    ways = [signature.place if step.named.mechanism == UNKNOWN else signature.simulate]
+    if step.named.doubt is not None:
+        ways.append(signature.simulate)
+        found = found._replace(mechanism=step.named.doubt.nearest)
+    return any(way(found) is not None for way in ways)
+
+
+def _found(step: Step, prepared: Prepared, pattern: np.ndarray | None) -> Found:
+    score = step.named.score
     exposures = [f.exposure_s for f in prepared.fields]
     first = first_gain(prepared.baselines, prepared.isos)
-    found = Found(
+    return Found(
         mechanism=step.named.mechanism,
         score=score,
         fields=step.before,
@@ -164,7 +180,6 @@ def addition(step: Step, prepared: Prepared, pattern: np.ndarray | None) -> Addi
         span=prepared.span,
         size=prepared.fields[0].mean.shape,
     )
-    return signature.place(found) if step.named.mechanism == UNKNOWN else signature.simulate(found)
 
 
 def _record(id: str, point: Point | None) -> Mechanism:
