@@ -6,6 +6,7 @@ import argparse
 import logging
 import sys
 import time
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -52,8 +53,13 @@ def main(argv: list[str] | None = None) -> int:
         print("bin/diagnose: interrupted; nothing was written", file=sys.stderr)
         return 130
     print(f"{camera}: {report['verdict']}")
-    for finding in report["findings"]:
+    confirmed = [f for f in report["findings"] if f["confirmed"]]
+    for finding in confirmed or report["findings"]:
         print(f"- {finding['mechanism']}: {finding['sentence']}")
+    rest = [f["mechanism"] for f in report["findings"] if not f["confirmed"]] if confirmed else []
+    if rest:
+        each = ", ".join(f"{n} ({k} times)" if k > 1 else n for n, k in Counter(rest).items())
+        print(f"- not confirmed on the frames held back: {each}")
     for much in report["too_much"]:
         print(f"- {much['sign']} {much['mechanism']}: {much['sentence']}")
     before, after = report["before"]["two_sample_auc"], report["after"]["two_sample_auc"]

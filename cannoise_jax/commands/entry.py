@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from cannoise_jax.commands.compiled import caches
-from cannoise_jax.commands.pulse import Pulse, Stream, beating, current
+from cannoise_jax.commands.pulse import Pulse, Stream, beating, current, fitting
 from cannoise_jax.recordings.recording import BadInput
 
 _SILENT_S, _EVERY_S, _SOON_S = 2.0, 5.0, 0.05
@@ -89,7 +89,8 @@ def _streams(name: str) -> Iterator[None]:
     """Within it commands end their work, and say so to nobody, when the reader of a pipe has left, and say
     what they are at when they have said nothing for a while."""
     before, pulse = (sys.stdout, sys.stderr), Pulse(name)
-    out, err = (Stream(stream, pulse) for stream in before)
+    err = Stream(before[1], pulse)
+    out = Stream(before[0], pulse, lambda why: print(f"bin/{name}: what it prints is lost: {why}", file=err))
     sys.stdout, sys.stderr = out, err  # type: ignore[assignment]
     try:
         with beating(pulse, err):
@@ -150,7 +151,7 @@ def progress(doing: str, alone: bool = True) -> Callable[..., None]:
             pulse.done(words)
             if spoken:
                 line = f"{doing}: {total} in {now - started:.0f} s"
-                line = f"\r{line:<72}" if sys.stderr.isatty() else line
+                line = f"\r{fitting(f'{line:<72}')}" if sys.stderr.isatty() else line
                 print(line, file=sys.stderr, flush=True)
             spoken = False
             return
@@ -161,7 +162,7 @@ def progress(doing: str, alone: bool = True) -> Callable[..., None]:
         if soon or not number or not alone:
             return
         last, spoken = now, True
-        line, end = (f"\r{words():<72}", "") if terminal else (words(), "\n")
+        line, end = (f"\r{fitting(f'{words():<72}')}", "") if terminal else (words(), "\n")
         print(line, end=end, file=sys.stderr, flush=True)
 
     return tell

@@ -6,6 +6,7 @@ it, elsewhere it is a line.
 
 from __future__ import annotations
 
+import io
 import os
 import shutil
 import threading
@@ -72,16 +73,21 @@ class Pulse:
                 stream.put(f"{text}\n" if stream.at_start else f"\n{text}\n")
                 stream.at_start = True
                 return
-            stream.put(f"{'' if stream.at_start else chr(10)}{_CLEAR}{text[: _columns() - 1]}")
+            stream.put(f"{'' if stream.at_start else chr(10)}{_CLEAR}{fitting(text)}")
             self._over = stream
 
 
 class Stream:
-    """A stream of which a pulse knows, and which drops what nobody reads."""
+    """A stream of which a pulse knows, and which drops what nobody reads. lost: called with the reason where
+    what is written cannot be kept."""
 
-    def __init__(self, stream: TextIO, pulse: Pulse) -> None:
-        self._stream = stream
+    def __init__(
+        self, stream: TextIO | None, pulse: Pulse, lost: Callable[[str], None] = lambda why: None
+    ) -> None:
+        # Python has no stream where the shell closed it.
+        self._stream = io.StringIO() if stream is None else stream
         self._pulse = pulse
+        self._lost = lost
         self.at_start = True
         """Whether nothing stands on the line, or what may be written over."""
 
@@ -106,9 +112,11 @@ class Stream:
     def _dropping(self) -> Iterator[None]:
         try:
             yield
-        except BrokenPipeError:
+        except OSError as error:
             # What is left in the buffer must not be written at exit, either.
             os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
+            if not isinstance(error, BrokenPipeError):
+                self._lost(error.strerror or str(error))
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
@@ -148,5 +156,6 @@ def beating(pulse: Pulse, stream: Stream) -> Iterator[None]:
             pass
 
 
-def _columns() -> int:
-    return max(shutil.get_terminal_size().columns, 20)
+def fitting(text: str) -> str:
+    """As much of a line as the terminal takes without wrapping it."""
+    return text[: max(shutil.get_terminal_size().columns, 20) - 1]

@@ -108,3 +108,16 @@ def test_one_command_inside_another_beats_once(monkeypatch):
     said = screen.getvalue().splitlines()
     assert said and all(line.endswith("bin/outer is at work") for line in said)
     assert pulses.current() is not outer
+
+
+@pytest.mark.parametrize("closed", [">/dev/full", ">&-", "2>/dev/full", "2>&-"])
+def test_a_command_ends_its_work_where_what_it_prints_cannot_be_kept(closed, tmp_path):
+    if not os.path.exists("/dev/full"):
+        pytest.skip("no /dev/full")
+    made = tmp_path / "out"
+    run = [sys.executable, "-m", "cannoise_jax.commands.start", "simulate", "--sensor", "preset:sony_a7s2"]
+    words = " ".join((*run, "--clean", "flat:0.1", "--frames", "2", "--size", "32x32", "--out", str(made)))
+    done = subprocess.run(["sh", "-c", f"{words} {closed}"], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert list(made.iterdir()) and "Traceback" not in done.stderr
+    assert ("what it prints is lost: No space left" in done.stderr) == (closed == ">/dev/full")

@@ -14,7 +14,7 @@ from cannoise_jax.mechanisms import ENTRIES, MECHANISMS
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Scaling
 from cannoise_jax.physics.core.sensor import IsoTable, SensorModel, Settings
-from cannoise_jax.physics.core.sensor_json import SCHEMA, sensor_document, write_sensor
+from cannoise_jax.physics.core.sensor_json import SCHEMA, check_place, sensor_document, write_sensor
 from cannoise_jax.recordings import BadInput
 
 SIZE = (8, 10)
@@ -114,6 +114,16 @@ def mechanism(document, id):
 
 def rename_map(entry, name):
     entry["maps"] = {name: next(iter(entry["maps"].values()))}
+
+
+def test_a_file_of_something_else_is_not_replaced(tmp_path):
+    path = tmp_path / "dark.json"
+    path.write_text('{"cfa": "RGGB", "exposure_s": 1.0}')
+    with pytest.raises(BadInput, match="dark.json: is there already and is no sensor model"):
+        check_place(path)
+    for own in ('{"schema": "cannoise/sensor/1"}', "", "{", '{"schema": "cannoise/sensor/9"}'):
+        path.write_text(own)
+        check_place(path)
 
 
 @pytest.mark.parametrize(

@@ -76,9 +76,21 @@ def check_place(path: Path, maps: bool = True) -> None:
     """Raises BadInput where `write_sensor` would not write a model, with maps or without."""
     if path.is_dir():
         raise BadInput(f"{path}: is a folder: name a file for the sensor model")
+    if _is_of_others(path):
+        raise BadInput(f"{path}: is there already and is no sensor model: choose another name")
     npz = path.with_suffix(".npz")
     if maps and npz.exists() and not _owns(path, npz):
         raise BadInput(f"{npz}: is there already and holds no maps of {path.name}: choose another name")
+
+
+def _is_of_others(path: Path) -> bool:
+    """Whether a JSON file says something that is no sensor model, as what stands beside recordings does."""
+    try:
+        said = json_of(path.read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError, RecursionError):
+        return False
+    schema = said.get("schema") if isinstance(said, dict) else None
+    return not str(schema).startswith(SCHEMA.rpartition("/")[0])
 
 
 def _owns(path: Path, npz: Path) -> bool:
