@@ -4,7 +4,7 @@ came out."""
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -143,6 +143,7 @@ def diagnose(
     gated = remains = quality = panel = None
     against: tuple[Doubt | None, ...] = (None,) * len(fitted.steps)
     model = sides.exported
+    light = shades(first.stacks) if compare else {}
     if compare and splits.can_prove:
         panel = open_panel(*judged_by(raw, fitted, sides, key))
     if panel is not None:
@@ -153,7 +154,7 @@ def diagnose(
             shown = [p.confirmed for p in unconfirmed(proven, fitted.steps).each]
             against = doubts(
                 judged.capture, splits.frames, fitted.steps, sides.of, own_key, chance, shown, tell,
-                shades(first.stacks),
+                light,
             )  # fmt: skip
         tell("remainder: what is left, measured as it is")
         rest = partial(with_remainder, judged.capture, key=jax.random.fold_in(key, 3), tell=tell)
@@ -163,7 +164,9 @@ def diagnose(
         tell("check: what still differs")
         less = partial(lesser, panel=panel, sides=sides, against=against, steps=fitted.steps)
         own_key = jax.random.fold_in(key, 4)
-        gated, remains, model = checked(judged, sides, gated, less, splits, alpha, own_key, tell)
+        gated, remains, model = checked(
+            judged, sides, gated, less, splits.frames, light, alpha, own_key, tell
+        )
     if panel is not None and gated is not None:
         quality = quality_of(panel, gated.before, gated.after)
         if not sides.likelihood:
@@ -233,15 +236,15 @@ def checked(
     sides: Sides,
     gated: Gated | None,
     instead: Callable[[Gated], Iterator[Gated]],
-    splits: Splits,
+    frames: list[tuple[list[int], list[int]]],
+    light: Mapping[int, np.ndarray],
     alpha: float,
     key: Key[Array, ""],
     tell: Callable[[str], None],
 ) -> tuple[Gated | None, Checked | None, SensorModel]:
     """What differs between the frames held back and draws before and after (None: none can be drawn), and the
     simulator that is handed back. Where more differs than before, the first of what is `instead` is by which
-    less does; where too few frames were held back for the gate, all that was found goes."""
-    light = shades(splits.looking.stacks)
+    less does; where too few frames were held back for the gate, all that was found goes. light: `shades`."""
     before = shaded(source_of(sides.model, sides.plain, judged.label, key), light)
     model = sides.exported if gated is None else gated.model
 
@@ -250,7 +253,7 @@ def checked(
             return shaded(source_of(model, sides.plain, AFTER, key), light)
 
         own = None if model is sides.model else after
-        return check(judged.capture, splits.frames, before, own, alpha * SHARED.layer, tell)
+        return check(judged.capture, frames, before, own, alpha * SHARED.layer, tell)
 
     try:
         found = against(model)

@@ -87,11 +87,10 @@ def _shown(fields: Many, scaling: str) -> list[_Seen]:
 
 
 class _Common(NamedTuple):
-    """All recordings in the coordinates in which their noise is white: contrasts `[n, k]`, whether each is of
-    the first half, and what turns a direction into cosines `[k, k]`."""
+    """All recordings in the coordinates in which their noise is white: contrasts `[n, k]`, and what turns a
+    direction into cosines `[k, k]`."""
 
     values: Float[np.ndarray, "n k"]
-    first: np.ndarray
     back: Float[np.ndarray, "k k"]
 
 
@@ -104,13 +103,11 @@ def _common(seen: Sequence[_Seen]) -> _Common | None:
     inverse = whitening(mean)
     if inverse is None:
         return None
-    values, first, so_far = [], [], 0
+    values = []
     for s in seen:
         scale = float(np.trace(inverse @ s.information @ inverse.T)) / len(inverse)
         values.append(s.sums @ inverse.T / np.sqrt(max(scale, 1e-30)))
-        first.append((np.arange(len(s.sums)) + so_far) % 2 == 0)
-        so_far += len(s.sums)
-    return _Common(np.concatenate(values), np.concatenate(first), inverse.T)
+    return _Common(np.concatenate(values), inverse.T)
 
 
 def _direction(values: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k"]:
@@ -118,11 +115,9 @@ def _direction(values: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "k"]:
     return np.linalg.svd(values, full_matrices=False)[2][0]
 
 
-def _share(halves: Sequence[np.ndarray], ways: Sequence[np.ndarray]) -> float:
-    """Of the power of each half beyond that of noise, what lies along the pattern of the other."""
-    one = sum(
-        float(np.sum((other @ way) ** 2)) - len(other) for other, way in zip(halves[::-1], ways, strict=True)
-    )
+def _share(halves: Sequence[np.ndarray], along: Sequence[np.ndarray]) -> float:
+    """Of the power of both halves beyond that of noise, what lies along the pattern of the other."""
+    one = sum(float(np.sum(z**2)) - len(z) for z in along)
     return one / max(sum(float(np.sum(h**2)) - h.size for h in halves), 1e-30)
 
 
@@ -157,19 +152,19 @@ def modulated_score(fields: Many, *, scaling: Scales) -> Score[Pattern] | None:
     common = _common(seen)
     if common is None:
         return None
-    halves, size = [common.values[common.first], common.values[~common.first]], fields[0].mean.shape
+    size, first = fields[0].mean.shape, np.arange(len(common.values)) % 2 == 0
+    halves = [common.values[first], common.values[~first]]
     ways = [_direction(h) for h in halves]
-    theirs, told, so_far = [_unit(common.back @ way, size)[1] for way in ways], [], 0
-    for s in seen:
+    theirs = [_unit(common.back @ way, size)[1] for way in ways]
+    told, ends = [], np.cumsum([len(s.sums) for s in seen])
+    for s, in_first in zip(seen, np.split(first, ends[:-1]), strict=True):
         (of_first, a), (of_second, b) = (_powers(s, m) for m in theirs)
-        first = common.first[so_far : so_far + len(s.sums)]
-        told.append((np.where(first, of_second, of_first), (a + b) / 2))
-        so_far += len(s.sums)
+        told.append((np.where(in_first, of_second, of_first), (a + b) / 2))
     unit = quoted_at(fields, scaling)
     score = _scored(told, scaling, unit)
-    against = [(other @ way) for other, way in zip(halves[::-1], ways, strict=True)]
+    against = [other @ way for other, way in zip(halves[::-1], ways, strict=True)]
     log_p = sidak(min(chi2_log_sf(float(z @ z), len(z)) for z in against), 2)
-    one = _share(halves, ways) > _MOST
+    one = _share(halves, against) > _MOST
     field, cosines = _unit(common.back @ _direction(common.values), size)
     return score.replace(
         log_p=log_p if one else 0.0,

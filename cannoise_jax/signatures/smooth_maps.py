@@ -69,11 +69,14 @@ class Smooth(NamedTuple):
 
 class _Told(NamedTuple):
     """Sums of the darks along the cosines, their covariance by noise and maps of pixels, and what makes them
-    independent; all of a pattern as it is quoted. smooth: share of what areas differ by that they hold."""
+    independent; the cosines that fit best, and their image `[H, W]`; all of a pattern as it is quoted.
+    smooth: share of what areas differ by that the image holds."""
 
     sums: Float[np.ndarray, "k"]
     information: Float[np.ndarray, "k k"]
     white: Float[np.ndarray, "k k"]
+    cosines: Float[np.ndarray, "k"]
+    image: Float[np.ndarray, "h w"]
     smooth: float
 
 
@@ -87,15 +90,18 @@ def _told(fields: Many, scaling: Scales) -> _Told | None:
     root = np.sqrt(sums.information)
     seen, spread = _of_pixels(sums.score / np.maximum(root, 1e-15))
     seen &= root > 0
-    along, products = _along(sums, seen, _levels(sums, seen))
+    level = _levels(sums, seen)
+    along, products = _along(sums, seen, level)
     information = products / spread**2
     white = whitening(information)
     if white is None:
         return None
-    level = _levels(sums, seen)
-    smooth = image_of(np.linalg.lstsq(products, along, rcond=None)[0], root.shape)
-    before, after = (_of_areas(sums, seen, level + more) / spread**2 for more in (0.0, smooth))
-    return _Told(along / spread**2, information, white, 1 - (after - 1) / max(before - 1, 1e-30))
+    along = along / spread**2
+    cosines = white.T @ (white @ along)
+    image = image_of(cosines, root.shape)
+    before, after = (_of_areas(sums, seen, level + more) / spread**2 for more in (0.0, image))
+    smooth = 1 - (after - 1) / max(before - 1, 1e-30)
+    return _Told(along, information, white, cosines, image, smooth)
 
 
 def _of_areas(sums: LineSums, seen: np.ndarray, level: np.ndarray) -> float:
@@ -160,11 +166,9 @@ def smooth_score(fields: Many, *, scaling: Scales) -> Score[Smooth] | None:
     own, size = each[OF_LINES:], fields[0].mean.shape
     power = float(own @ own)
     others = told.smooth < _SMOOTH or _one_fall(told, each, size) > _ONE_FALL
-    cosines = told.white.T @ each
-    pattern = image_of(cosines, size)
     # What noise alone adds to the mean square of the pattern: a product of cosines has one of a quarter.
     noise = float(np.sum(told.white**2)) / 4
-    amplitude = float(np.sqrt(max(float(np.mean(pattern**2)) - noise, 0.0)))
+    amplitude = float(np.sqrt(max(float(np.mean(told.image**2)) - noise, 0.0)))
     error = amplitude / max(float(np.sqrt(each @ each)), 1.0)
     gain = 0.0 if others else max(0.5 * (power - own.size) - ONE_OF_SEVERAL * own.size, 0.0)
     return Score(
@@ -177,7 +181,7 @@ def smooth_score(fields: Many, *, scaling: Scales) -> Score[Smooth] | None:
         power=1,
         parameters={"sigma": (amplitude, "DN", error)},
         where={"axis": "block", "bbox": None},
-        payload=Smooth(pattern.astype(np.float32), cosines),
+        payload=Smooth(told.image.astype(np.float32), told.cosines),
     )
 
 

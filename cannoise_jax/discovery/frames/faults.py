@@ -13,6 +13,7 @@ from cannoise_jax.physics.transfer.one_temperature import other_temperatures
 from cannoise_jax.physics.transfer.photon_transfer import channel_lines
 from cannoise_jax.physics.transfer.rails import MOVES, moving, with_measured_black
 from cannoise_jax.recordings.lazy import chosen
+from cannoise_jax.recordings.packing import ALL
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
 
 
@@ -58,7 +59,8 @@ def without_moving(capture: CaptureSet) -> tuple[CaptureSet, tuple[str, ...]]:
     lit = {r.iso for r in capture.recordings if r.kind == "flat"}
     for r in capture.recordings:
         alone = r.kind != "scene" or r.clean is not None or r.iso not in lit
-        share = 0.0 if alone else max(moving(r, c) for c in range(4))
+        sites = (ALL,) if r.cfa == "MONO" else range(4)  # of which a camera without colours shows one scene
+        share = 0.0 if alone else max(moving(r, c) for c in sites)
         if share > MOVES:
             why = f"{100 * share:.0f} % of what changes between frames is no noise"
             lines.append(f"{r.path or r.kind}: {why}: the scene or its light moves: left out")
