@@ -14,6 +14,7 @@ from cannoise_jax.discovery.frames.splits import split_recordings
 from cannoise_jax.discovery.proof import gate as gate_module
 from cannoise_jax.discovery.proof.check import Checked, check, compared_on, frames_for
 from cannoise_jax.discovery.proof.gate import Gain, Tried, lesser
+from cannoise_jax.discovery.proof.prove import Proof
 from cannoise_jax.discovery.proof.twosample import Area, differs
 from cannoise_jax.discovery.proof.verdict import verdict_of
 from cannoise_jax.discovery.search.name import UNKNOWN
@@ -35,6 +36,10 @@ def test_what_helps_one_measure_and_hurts_the_other_does_not_enter():
     assert tried(0.01, 0.1).worse and tried(-0.01, -0.1).worse
     assert not tried(0.01, 0.1).better and not tried(-0.01, -0.1).better
     assert not tried().better and not tried().worse
+
+
+def _proof(confirmed, gain=1.0):
+    return Proof(None, gain, 0.5 if confirmed else gain - 1.5, gain + 1.0, 64)
 
 
 class Bench:
@@ -72,7 +77,7 @@ class Bench:
 )
 def test_what_is_handed_back_is_never_worse_than_what_was_given(areas, handed_back, steps, rest):
     """Findings a and b, of which a is confirmed and well described; a plus sign: with the remainder."""
-    proofs = SimpleNamespace(each=(SimpleNamespace(confirmed=True), SimpleNamespace(confirmed=False)))
+    proofs = SimpleNamespace(each=(_proof(True), _proof(False)))
 
     draws = gate_module.of_model("given")
     named = {(): "given", ("a",): "a", ("a", "b"): "ab"}
@@ -83,9 +88,20 @@ def test_what_is_handed_back_is_never_worse_than_what_was_given(areas, handed_ba
     assert areas[found.model] <= areas["given"]
 
 
+def test_what_the_frames_held_back_lose_by_does_not_enter():
+    """Finding b does, though draws with both are nearer."""
+    proofs = SimpleNamespace(each=(_proof(True), _proof(False, gain=-2.0)))
+    named = {(): "given", ("a",): "a", ("a", "b"): "ab"}
+    sides = SimpleNamespace(
+        plain=gate_module.of_model("given"), model="given", bare="given", of=named.get, level=str
+    )
+    bench = Bench({"given": 0.4, "ab": 0.1, "a": 0.2})
+    assert gate_module.gate(bench, sides, ("a", "b"), proofs).steps == ("a",)
+
+
 def gated(bench):
     """What the gate lets in of two confirmed findings a and b, and the sides that it chose from."""
-    proofs = SimpleNamespace(each=(SimpleNamespace(confirmed=True),) * 2)
+    proofs = SimpleNamespace(each=(_proof(True),) * 2)
     sides = SimpleNamespace(
         plain=gate_module.of_model("given"), model="given", bare="given",
         of={(): "given", ("a",): "a", ("a", "b"): "ab"}.get, level=str,

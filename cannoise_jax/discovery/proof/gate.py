@@ -1,11 +1,11 @@
 """Gate: what enters the simulator that is handed back, judged on the frames held back by draws.
 
-The findings enter unless they make the draws worse; where they do, those that the held-back frames confirm
-are tried alone. What no name explains enters, as the remainder, where it makes the draws better: beside
-all of these findings, in place of those that nothing describes well, or beside the fitted baseline alone. It
-goes again where the layer that knows no names then finds more that differs than before, and so do findings
-without a name; where nothing that is left is surely nearer, all of it does. So the simulator that is handed
-back is no worse than the one that was given, or the report says so first.
+The findings by which the held-back frames do not lose enter, unless they make the draws worse; where they do,
+those that these frames confirm are tried alone. What no name explains enters, as the remainder, where it
+makes the draws better: beside all of these findings, in place of those that nothing describes well, or beside
+the fitted baseline alone. It goes again where the layer that knows no names then finds more that differs than
+before, and so do findings without a name; where nothing that is left is surely nearer, all of it does. So the
+simulator that is handed back is no worse than the one that was given, or the report says so first.
 """
 
 from __future__ import annotations
@@ -151,9 +151,11 @@ def gate(
     model, after = sides.model, before
     kept: tuple[Step, ...] = ()
     all_tried: list[Tried] = []
-    sure = tuple(s for s, p in zip(steps, proofs.each, strict=True) if p.confirmed)
-    for what, some, number in (("findings", steps, NAMED), ("confirmed findings", sure, SURE)):
-        if not (some or sides.lowered) or (all_tried and len(some) == len(steps)):
+    told = tuple(zip(steps, proofs.each, strict=True))
+    standing = tuple(s for s, p in told if not p.loses)
+    sure = tuple(s for s, p in told if p.confirmed)
+    for what, some, number in (("findings", standing, NAMED), ("confirmed findings", sure, SURE)):
+        if not (some or sides.lowered) or (all_tried and len(some) == len(standing)):
             continue
         tell(f"gate: {what}")
         candidate = sides.level(sides.of(some))

@@ -68,6 +68,11 @@ class Proof(NamedTuple):
             return self.shown
         return self.gain is not None and self.gain > 0 and bool(self.low > 0)
 
+    @property
+    def loses(self) -> bool:
+        """Whether the frames held back are told less well with the finding, at its strength, than without."""
+        return self.gain is not None and self.gain < 0 and not self.confirmed
+
 
 class Proofs(NamedTuple):
     """All findings, and the mean negative log-likelihood of the frames held back, nats per pixel: of the
