@@ -242,9 +242,10 @@ def checked(
     key: Key[Array, ""],
     tell: Callable[[str], None],
 ) -> tuple[Gated | None, Checked | None, SensorModel]:
-    """What differs between the frames held back and draws before and after (None: none can be drawn), and the
-    simulator that is handed back. Where more differs than before, the first of what is `instead` is by which
-    less does; where too few frames were held back for the gate, all that was found goes. light: `shades`."""
+    """What differs between the frames held back and draws before and after (None: none can be drawn; of a
+    function beside which nothing was found, of the function), and the simulator that is handed back. Where
+    more differs than before, the first of what is `instead` is by which less does; where too few frames were
+    held back for the gate, all that was found goes. light: `shades`."""
     before = shaded(source_of(sides.model, sides.plain, judged.label, key), light)
     model = sides.exported if gated is None else gated.model
 
@@ -252,7 +253,8 @@ def checked(
         def after() -> Source:
             return shaded(source_of(model, sides.plain, AFTER, key), light)
 
-        own = None if model is sides.model else after
+        given = model is sides.model or (sides.model is None and sides.extended is None)
+        own = None if given else after
         return check(judged.capture, frames, before, own, alpha * SHARED.layer, tell)
 
     try:

@@ -88,15 +88,17 @@ def test_what_is_handed_back_is_never_worse_than_what_was_given(areas, handed_ba
     assert areas[found.model] <= areas["given"]
 
 
-def test_what_the_frames_held_back_lose_by_does_not_enter():
-    """Finding b does, though draws with both are nearer."""
+@pytest.mark.parametrize("without, handed_back", [(0.1, "a"), (0.2, "ab")])
+def test_what_the_frames_held_back_lose_by_goes_unless_draws_are_farther_without(without, handed_back):
+    """Finding b."""
     proofs = SimpleNamespace(each=(_proof(True), _proof(False, gain=-2.0)))
     named = {(): "given", ("a",): "a", ("a", "b"): "ab"}
     sides = SimpleNamespace(
         plain=gate_module.of_model("given"), model="given", bare="given", of=named.get, level=str
     )
-    bench = Bench({"given": 0.4, "ab": 0.1, "a": 0.2})
-    assert gate_module.gate(bench, sides, ("a", "b"), proofs).steps == ("a",)
+    found = gate_module.gate(Bench({"given": 0.4, "ab": 0.1, "a": without}), sides, ("a", "b"), proofs)
+    assert (found.model, "".join(found.steps)) == (handed_back, handed_back)
+    assert [t.steps for t in found.tried if t.entered] == [len(handed_back)]
 
 
 def gated(bench):

@@ -1,11 +1,12 @@
 """Gate: what enters the simulator that is handed back, judged on the frames held back by draws.
 
-The findings by which the held-back frames do not lose enter, unless they make the draws worse; where they do,
-those that these frames confirm are tried alone. What no name explains enters, as the remainder, where it
-makes the draws better: beside all of these findings, in place of those that nothing describes well, or beside
-the fitted baseline alone. It goes again where the layer that knows no names then finds more that differs than
-before, and so do findings without a name; where nothing that is left is surely nearer, all of it does. So the
-simulator that is handed back is no worse than the one that was given, or the report says so first.
+The findings enter unless they make the draws worse; where they do, those that the held-back frames confirm
+are tried alone. Findings at whose strength these frames are told less well than without go again, unless the
+draws are then worse. What no name explains enters, as the remainder, where it makes the draws better: beside
+all of these findings, in place of those that nothing describes well, or beside the fitted baseline alone. It
+goes again where the layer that knows no names then finds more that differs than before, and so do findings
+without a name; where nothing that is left is surely nearer, all of it does. So the simulator that is handed
+back is no worse than the one that was given, or the report says so first.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from cannoise_jax.discovery.proof.quality import (
     NAMED_WITH_REST,
     PLAIN,
     REST_ALONE,
+    STANDING,
     SURE,
     WELL_WITH_REST,
     WITH_REST,
@@ -68,11 +70,11 @@ class Gain(NamedTuple):
 
 
 class Tried(NamedTuple):
-    """One candidate beside the simulator before it. what: `findings`, `confirmed findings`, `findings with a
-    name` or `remainder`; steps: findings in it; score: of the composite score, nats a pixel, area: of what
-    the two-sample area is above 0.5 (None: not measured, or told from chance neither before nor after);
-    entered: whether it is in the simulator that is handed back; least: change of the score that counts as
-    none."""
+    """One candidate beside the simulator before it. what: `findings`, `findings that gain`, `confirmed
+    findings`, `findings with a name` or `remainder`; steps: findings in it; score: of the composite score,
+    nats a pixel, area: of what the two-sample area is above 0.5 (None: not measured, or told from chance
+    neither before nor after); entered: whether it is in the simulator that is handed back; least: change of
+    the score that counts as none."""
 
     what: str
     steps: int
@@ -154,17 +156,23 @@ def gate(
     told = tuple(zip(steps, proofs.each, strict=True))
     standing = tuple(s for s, p in told if not p.loses)
     sure = tuple(s for s, p in told if p.confirmed)
-    for what, some, number in (("findings", standing, NAMED), ("confirmed findings", sure, SURE)):
-        if not (some or sides.lowered) or (all_tried and len(some) == len(standing)):
+    for what, some, number in (
+        ("findings", steps, NAMED),
+        ("findings that gain", standing, STANDING),
+        ("confirmed findings", sure, SURE),
+    ):
+        done = {t.steps for t in all_tried}  # each is a part of the one before
+        if not (some or sides.lowered) or len(some) in done or (number == SURE and after is not before):
             continue
         tell(f"gate: {what}")
         candidate = sides.level(sides.of(some))
         looked = panel.look(of_model(candidate), number)
         tried = _tried(what, some, panel, before, looked)
-        all_tried.append(tried._replace(entered=not tried.worse))
-        if not tried.worse:
+        enters = not tried.worse and not _tried(what, some, panel, after, looked).worse
+        all_tried = [t._replace(entered=t.entered and not enters) for t in all_tried]
+        all_tried.append(tried._replace(entered=enters))
+        if enters:
             model, after, kept = candidate, looked, some
-            break
     return Gated(model, before, after, kept, tuple(all_tried), False)
 
 

@@ -161,12 +161,12 @@ def open_panel(
 
 
 PLAIN, _CONTROL, NAMED, _QUIET, SURE = range(5)
-WITH_REST, WELL_WITH_REST, REST_ALONE, NAMED_WITH_REST, NAMED_ALONE = range(5, 10)
+WITH_REST, WELL_WITH_REST, REST_ALONE, NAMED_WITH_REST, NAMED_ALONE, STANDING = range(5, 11)
 """Numbers of the simulators that are drawn, for their random numbers."""
 
 
 def _keys(key: Key[Array, ""]) -> Key[Array, "n"]:
-    return jax.random.split(key, NAMED_ALONE + 1)
+    return jax.random.split(key, STANDING + 1)
 
 
 def _pair(draw: Drawings, halves: tuple[Prepared, Prepared], key: Key[Array, ""]) -> Pair:
