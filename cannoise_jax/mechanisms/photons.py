@@ -168,7 +168,10 @@ ENTRIES: tuple[Entry, ...] = (
         GREEN_IMBALANCE,
         needs="flats, or scenes with an independent reference, from a Bayer sensor",
         signatures=lambda recorded: (
-            looks.light.two_greens(recorded, name="greens", parameter="sigma", covers=("greens",)),
+            looks.light.two_greens(recorded, name="greens", parameter="sigma",
+                covers=("greens", "greens_beside_patterns")),
+            looks.light.two_greens(recorded, name="greens_beside_patterns", parameter="sigma",
+                covers=("greens", "greens_beside_patterns"), patterns=True),
         ),
         estimator=Estimator(maps.green_imbalance, least=1e-3),
         examples=Examples("sites", strong={"sigma": 0.05}, cases=(Case({"sigma": 0.01}, FLAT),)),

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.recordings.recording import mosaic_map
@@ -22,6 +24,7 @@ from cannoise_jax.signatures.score import (
     ONE_PARAMETER,
     Score,
     normal_log_p,
+    student_log_p,
 )
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,
@@ -35,59 +38,113 @@ from cannoise_jax.signatures.signature import (
 )
 
 
-def green_score(fields: tuple[Fields, ...], *, greens: tuple[int, int] | None) -> Score[float] | None:
-    """Relative difference of the two green channels."""
+class Greens(NamedTuple):
+    """Logarithm of the ratio of the two greens of one recording, its variance by the noise of pixels, and
+    what every cell of 2 x 2 pixels adds to it beyond the mean; zero where it adds nothing."""
+
+    value: float
+    variance: float
+    cells: Float[np.ndarray, "h w"]
+
+
+def _greens(f: Fields, sites: tuple[int, int], dark: float, count: float) -> Greens | None:
+    """Of one recording; dark, count: variance of the dark level of a pixel, DN^2, and how many made it."""
+    channel, rows, columns = channel_index(f.mean.shape), f.mean.shape[0] // 2, f.mean.shape[1] // 2
+    a, b = sites
+    if f.kind == "scene":
+        assert f.clean is not None
+        value, variance, cells = 0.0, 0.0, np.zeros((rows, columns))
+        for c, sign in ((a, 1.0), (b, -1.0)):
+            chosen = (channel == c) & f.usable
+            weight = np.where(chosen, f.weight.astype(np.float64) ** 2, 0.0)
+            total = weight.sum()
+            x = f.clean - float(np.sum(weight * f.clean) / total)
+            known = float(np.sum(weight * x**2))
+            slope = float(np.sum(weight * x * f.mean) / known)
+            if slope <= 0:
+                return None
+            value += sign * np.log(slope)
+            variance += 1 / known / f.frames / slope**2
+            level = float(np.sum(weight * (f.mean - slope * x)) / total)
+            each = sign * weight * x * (f.mean - level - slope * x) / (known * slope)
+            cells += each[c // 2 :: 2, c % 2 :: 2][:rows, :columns]
+        return Greens(value, variance, cells)
+    # Both greens at the sites of the second, equally blurred: neither a gradient nor a curvature of the light
+    # must look like a contrast.
+    inside = (channel == b)[2:-2, 2:-2]
+    maps = _diagonal(f.mean)[2:-2, 2:-2] - f.black[a], _blurred(f.mean)[2:-2, 2:-2] - f.black[b]
+    levels = [float(np.mean(image[inside])) for image in maps]
+    if min(levels) <= 0:
+        return None
+    variance = 0.0
+    for c, level in zip(sites, levels, strict=True):
+        chosen = (channel == c) & f.usable
+        noise = float(np.mean(f.sigma[chosen] ** 2)) / chosen.sum() / f.frames + dark / (count * chosen.sum())
+        variance += noise / level**2
+    apart = np.zeros(f.mean.shape)
+    apart[2:-2, 2:-2] = np.where(inside, maps[0] / levels[0] - maps[1] / levels[1], 0.0) / inside.sum()
+    return Greens(np.log(levels[0] / levels[1]), variance, apart[b // 2 :: 2, b % 2 :: 2][:rows, :columns])
+
+
+def green_score(
+    fields: tuple[Fields, ...], *, greens: tuple[int, int] | None, patterns: bool = False
+) -> Score[float] | None:
+    """Relative difference of the two green channels. patterns: by the scatter that bands of rows and of
+    columns show, which frozen patterns of pixels and lines add to; by the noise of pixels alone
+    otherwise."""
     if greens is None:
         return None
-    a, b = greens
-    u = i = 0.0
-    for f in fields:
-        if f.static is None or not f.lit or not f.usable.any():
-            continue
-        channel = channel_index(f.mean.shape)
-        level, variance = [], []
-        for c in (a, b):
-            chosen = (channel == c) & f.usable
-            weight = f.weight[chosen].astype(np.float64) ** 2
-            if f.kind == "scene":
-                assert f.clean is not None
-                x = f.clean[chosen] - np.average(f.clean[chosen], weights=weight)
-                slope = np.sum(weight * x * f.mean[chosen]) / np.sum(weight * x**2)
-                level.append(slope)
-                variance.append(1 / np.sum(weight * x**2) / f.frames / slope**2)
-            else:
-                # Both greens at the sites of the second, equally blurred: neither a gradient nor a curvature
-                # of the light must look like a contrast.
-                level_map = (_diagonal(f.mean) if c == a else _blurred(f.mean))[2:-2, 2:-2]
-                signal = float(np.mean(level_map[(channel == b)[2:-2, 2:-2]]) - f.black[c])
-                dark = np.mean([np.median(g.sigma) ** 2 for g in fields if not g.lit] or [0.0])
-                count = sum(g.frames for g in fields if not g.lit) * chosen.sum() or np.inf
-                level.append(signal)
-                variance.append(
-                    (float(np.mean(f.sigma[chosen] ** 2)) / chosen.sum() / f.frames + dark / count)
-                    / max(signal, 1e-6) ** 2
-                )
-        if min(level) <= 0:
-            continue
-        v = sum(variance)
-        u += np.log(level[0] / level[1]) / v
-        i += 1 / v
-    if i == 0:
+    dark = float(np.mean([np.median(g.sigma) ** 2 for g in fields if not g.lit] or [0.0]))
+    count = sum(g.frames for g in fields if not g.lit) or np.inf
+    lit = [f for f in fields if f.static is not None and f.lit and f.usable.any()]
+    told = [g for f in lit if (g := _greens(f, greens, dark, count)) is not None]
+    if not told:
         return None
-    z = u / np.sqrt(i)
-    amplitude, error = abs(u / i) / 2, 0.5 / np.sqrt(i)
+    weight = np.array([1 / g.variance for g in told])
+    weight, variance = weight / weight.sum(), float(1 / weight.sum())
+    value, freedom = float(weight @ [g.value for g in told]), np.inf
+    if patterns:
+        scattered, freedom = _scatter(np.tensordot(weight, [g.cells for g in told], 1))
+        variance = max(scattered, variance)
+    if not variance > 0 or freedom < 1:
+        return None
+    z = value / np.sqrt(variance)
+    error = 0.5 * np.sqrt(variance)
     return Score(
-        log_p=normal_log_p(z),
+        log_p=student_log_p(z, freedom) if patterns else normal_log_p(z),
         gain=0.5 * z**2,
         penalty=ONE_PARAMETER,
-        amplitude=amplitude,
+        amplitude=abs(value) / 2,
         error=error,
         shift=error,
         power=1,
-        parameters={"relative_difference": (u / i, "1", 2 * error)},
+        parameters={"relative_difference": (value, "1", 2 * error)},
         where={"axis": "channel", "channel": "Gr-Gb"},
-        payload=u / i,
+        payload=value,
     )
+
+
+_BANDS, _CELLS = 16, 4
+"""Bands of rows, and of columns, whose scatter says how sure the mean of cells is, and of how many cells at
+least."""
+
+
+def _scatter(cells: Float[np.ndarray, "h w"]) -> tuple[float, float]:
+    """Variance of the sum of cells by the scatter of bands of rows and of columns, of both together so that
+    neither rows nor columns of their own are taken for noise, and its degrees of freedom. What neighbouring
+    bands share, as pixels at the edge between them are in the greens of both, adds to it."""
+    each, free = [], []
+    for axis, length in enumerate(cells.shape):
+        bands = max(min(_BANDS, length // _CELLS), 1)
+        away = np.array([band.sum() for band in np.array_split(cells, bands, axis)])
+        away -= away.mean()
+        alike = 2 * max(float(away[1:] @ away[:-1]), 0.0)
+        free.append(bands - 1)
+        each.append((float(away @ away) + alike) * bands / (bands - 1) if bands > 1 else np.inf)
+    total = sum(each)
+    if not np.isfinite(total):
+        return np.inf, 0.0
+    return total, total**2 / max(sum(v**2 / n for v, n in zip(each, free, strict=True)), 1e-300)
 
 
 def _diagonal(image: np.ndarray) -> np.ndarray:
@@ -163,8 +220,10 @@ def shading_absorb(fields: tuple[Fields, ...], score: Score[tuple[float, float]]
     )
 
 
-def two_greens(recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...]) -> Signature:
-    """A difference between the two greens."""
+def two_greens(
+    recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...], patterns: bool = False
+) -> Signature:
+    """A difference between the two greens; patterns: as `green_score` has them."""
     sites = recorded.greens
 
     def pattern(fields: Many, score: Score, rng: np.random.Generator) -> np.ndarray | None:
@@ -185,7 +244,7 @@ def two_greens(recorded: Recorded, *, name: str, parameter: str, covers: tuple[s
         name=name,
         axes=Axes("photons", "channel", "frozen", "signal", "contrast"),
         reads=STATIC | {"mean"},
-        score=partial(green_score, greens=sites),
+        score=partial(green_score, greens=sites, patterns=patterns),
         absorb=unchanged,
         covers=covers,
         predict=NO_LAW,

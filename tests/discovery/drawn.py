@@ -19,7 +19,10 @@ from tests.discovery.capture import scene as blobs
 from tests.discovery.looks import SIGNATURES, white
 
 SIZE = (32, 48)
-LEVELS = ("black_level", "black_channels", "dark_level", "reference_scale", "description_scale", "greens")
+LEVELS = (
+    "black_level", "black_channels", "dark_level", "reference_scale", "description_scale", "greens",
+    "greens_beside_patterns",
+)  # fmt: skip
 """Signatures of means, which other fields state without noise."""
 SHAPES = ("kurtosis", "light_tails", "skewness", "excess_skewness")
 """Signatures of what is beyond Poisson noise and rounding."""
