@@ -333,7 +333,8 @@ def _in_final_model(
     """The steps with the p-value that each has when it alone is dropped from the final model. A signature
     that the others leave nothing to look at, or that is `needed`, keeps the p-value of its step. What is left
     of an effect that is known but approximately, and has no name, does not make it superfluous; nor do those
-    that set the pixels aside by which it is seen, and in which it would be counted."""
+    that set the pixels aside by which it is seen, and in which it would be counted, or that hold it as well,
+    so that it was judged before them."""
     changed = [_changed(step.before, after.before) for step, after in zip(steps, steps[1:], strict=False)]
 
     def alone(k: int) -> Step:
@@ -341,7 +342,7 @@ def _in_final_model(
         if step.late or step.named.signature.name in needed:
             return step
         fields, own = step.before, step.named.signature
-        holds_it = own.found_in if own.single_pixels else ()
+        holds_it = {*(own.found_in if own.single_pixels else ()), *own.before(step.named.score)}
         taken = [
             n
             for n in range(k + 1, len(steps))
