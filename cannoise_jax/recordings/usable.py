@@ -14,6 +14,7 @@ from cannoise_jax.recordings.metadata import checked, chunks
 from cannoise_jax.recordings.one_level import odd_levels, told_level
 from cannoise_jax.recordings.one_light import odd_pictures, told
 from cannoise_jax.recordings.one_noise import apart, numbered, short_names, words
+from cannoise_jax.recordings.one_readout import disturbed, told_readout
 from cannoise_jax.recordings.over_time import check_single_exposures
 from cannoise_jax.recordings.plausible import check_kinds
 from cannoise_jax.recordings.recording import DARK, LIT, BadInput, CaptureSet, Recording
@@ -47,8 +48,9 @@ def usable(
 
     Left out are frames of one value, copies of an earlier frame, frames wholly at the white level, the few of
     which a part is another than in the rest (see `one_light`; not where unsteady ones are looked for), the
-    few at another level than the rest (see `one_level`), and the few whose temporal noise is another than
-    that of the rest (see `one_noise`); with its last frame a recording goes too. Raises BadInput for
+    few at another level than the rest (see `one_level`), the few whose temporal noise is another than that of
+    the rest (see `one_noise`), and those read out with a disturbance (see `one_readout`); with its last frame
+    a recording goes too. Raises BadInput for
     recordings that no file may hold (see `metadata.checked`), for none at all, for frames that are too small,
     for a recording of frames of several noises none of which is the rule, for frames averaged over time (see
     `over_time`), for flats all darker than all darks, and where so much is lost that no two frames of one
@@ -79,6 +81,8 @@ def usable(
         good, why = _of_one_level(recording, good, unsteady)
         lines += why
         good, why = _of_one_noise(recording, good, unsteady)
+        lines += why
+        good, why = _of_one_readout(recording, good)
         lines += why
         if good:
             left = _some(recording, good)
@@ -217,11 +221,27 @@ def _of_one_level(recording: Recording, good: list[int], unsteady: bool) -> tupl
     found = odd_levels(left, unsteady) if good else None
     if found is None:
         return good, []
-    which = numbered([good[k] + 1 for k in found.numbers])
+    return _without(recording, left, good, found.numbers, told_level(left, found))
+
+
+def _of_one_readout(recording: Recording, good: list[int]) -> tuple[list[int], list[str]]:
+    """The frames that were read out alike among the good ones, and how the others were."""
+    left = _some(recording, good) if good else recording
+    found = disturbed(left) if good else None
+    if found is None:
+        return good, []
+    return _without(recording, left, good, found.numbers, told_readout(found, left.count))
+
+
+def _without(
+    recording: Recording, left: Recording, good: list[int], odd: Sequence[int], why: str
+) -> tuple[list[int], list[str]]:
+    """The good frames but the odd ones among those that are `left`, and why these are not."""
+    which = numbered([good[k] + 1 for k in odd])
     names = short_names(left.sources) if len(left.sources) == left.count else ()
-    which += f" ({', '.join(names[k] for k in found.numbers)})" if names else ""
-    kept = [n for k, n in enumerate(good) if k not in found.numbers]
-    return kept, [f"{recording.path or recording.camera}: {which}: {told_level(left, found)}"]
+    which += f" ({', '.join(names[k] for k in odd)})" if names else ""
+    kept = [n for k, n in enumerate(good) if k not in odd]
+    return kept, [f"{recording.path or recording.camera}: {which}: {why}"]
 
 
 def _of_one_picture(recording: Recording, good: list[int]) -> tuple[list[int], list[str]]:
