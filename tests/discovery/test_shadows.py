@@ -60,6 +60,9 @@ PATTERNS = {
     "pixels": lambda rng: rng.normal(size=SIZE),
     "pixels of a long tail": lambda rng: unit(np.exp(rng.normal(size=SIZE))),
     "few far pixels": lambda rng: unit((rng.random(SIZE) < 0.005) * 1.0),
+    "few far pixels and their neighbours": lambda rng: unit(
+        ndimage.convolve((rng.random(SIZE) < 0.002) * 1.0, np.array([[0, 1, 0], [1, 20, 1], [0, 1, 0]]) / 20)
+    ),
     "rows": lambda rng: rng.normal(size=(SIZE[0], 1)) * np.ones(SIZE),
     "columns of halves": lambda rng: np.where(Y < 96, *rng.normal(size=(2, 1, SIZE[1]))),
     "a bad column": lambda rng: unit((X == 77) * 1.0),

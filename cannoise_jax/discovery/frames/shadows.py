@@ -30,6 +30,8 @@ _THIN = 4.0
 _FAR = 3.0
 """Robust standard deviations from those around it beyond which a pixel counts as no more than that: a bright
 or dead pixel is no shadow."""
+_LONE = 20.0
+"""And beyond which its neighbours count as no more than what is around them either."""
 _SCALES = 6
 _AROUND = 3
 """Pixels by which a shadow goes on beyond where it stands out."""
@@ -90,10 +92,14 @@ def light_at(relative: Float[np.ndarray, "h w"], where: Bool[np.ndarray, "h w"])
 
 
 def _limited(relative: np.ndarray) -> Float[np.ndarray, "h w"]:
-    """With pixels that are far from those around them brought near."""
+    """With pixels that are far from those around them brought near, and with those beside the furthest, from
+    which charge comes or stays away: four neighbours of a dead pixel, darker by a few per cent, are a cross.
+    """
     around = ndimage.median_filter(relative, 5, mode="nearest")
-    spread = robust_std(relative - around, 0)
-    return around + np.clip(relative - around, -_FAR * spread, _FAR * spread)
+    away = relative - around
+    spread = robust_std(away, 0)
+    beside = ndimage.binary_dilation(np.abs(away) > _LONE * spread, np.ones((3, 3)))
+    return around + np.where(beside, 0.0, np.clip(away, -_FAR * spread, _FAR * spread))
 
 
 def _smooth(values: np.ndarray, apart: int) -> Float[np.ndarray, "h w"]:
