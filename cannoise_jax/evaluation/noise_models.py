@@ -279,6 +279,7 @@ def learned(bench: Bench, model: Model, batch: int = 16, given: Any = None) -> D
         parts = [
             (of_camera(model, own.name), np.flatnonzero(camera == c)) for c, own in enumerate(bench.cameras)
         ]
+    batch = min(batch, max(len(members) for _, members in parts))
 
     def draw(key, references):
         clean, noisy = bench.test.clean, bench.test.noisy

@@ -7,6 +7,7 @@ state bit for bit.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -80,7 +81,7 @@ def make_networks(config: ConfigDict | FrozenConfigDict, compute: str = "float32
     )
 
 
-def make_optimisers(config: ConfigDict) -> Optimisers:
+def make_optimisers(config: ConfigDict | FrozenConfigDict) -> Optimisers:
     """Adam for G and E, and for D.
 
     The cosine schedule ends at zero; that of G rises from zero for `warmup` steps first, so that an untrained
@@ -112,23 +113,31 @@ def init_state(config: ConfigDict, cameras: int, noisy: Float[Array, "n h w 4"] 
 
     noisy: training images of all cameras, on whose statistics E's are standardised.
     """
-    # Dozens of small random draws take XLA half a minute to optimise and nothing to run.
-    quick = {"xla_backend_optimization_level": 0, **(compiler_options(config) or {})}
-    first = jax.jit(lambda key: _first_state(config, cameras, key), compiler_options=quick)
+    first, standard = _first_programs(FrozenConfigDict(config), cameras)
     state = first(jax.random.key(config.seed))
     if noisy is None or "params" not in state.encoder:
         return state
-    params = jax.jit(standardised, compiler_options=quick)(state.encoder["params"], noisy)
+    params = standard(state.encoder["params"], noisy)
     average = {**state.average, "encoder": jax.tree.map(jnp.copy, params)}
     return state._replace(encoder={**state.encoder, "params": params}, average=average)
 
 
 def abstract_state(config: ConfigDict, cameras: int) -> State:
     """The shapes and dtypes of `init_state`, without computing it."""
-    return jax.eval_shape(lambda: _first_state(config, cameras, jax.random.key(config.seed)))
+    first, _ = _first_programs(FrozenConfigDict(config), cameras)
+    return jax.eval_shape(first, jax.random.key(config.seed))
 
 
-def _first_state(config: ConfigDict, cameras: int, key: Key[Array, ""]) -> State:
+@lru_cache(maxsize=4)
+def _first_programs(config: FrozenConfigDict, cameras: int):
+    """From a key to the first state, and `standardised`. Cached: runs of one process trace them once."""
+    # Dozens of small random draws take XLA half a minute to optimise and nothing to run.
+    quick = {"xla_backend_optimization_level": 0, **(compiler_options(config) or {})}
+    first = jax.jit(partial(_first_state, config, cameras), compiler_options=quick)
+    return first, jax.jit(standardised, compiler_options=quick)
+
+
+def _first_state(config: FrozenConfigDict, cameras: int, key: Key[Array, ""]) -> State:
     networks, optimisers = make_networks(config), make_optimisers(config)
     keys = jax.random.split(key, 4)
     image = jnp.ones((1, config.patch, config.patch, 4))
@@ -166,7 +175,7 @@ def latent_of(networks: Networks, encoder: Variables, noisy: Any, train: bool = 
     return networks.encoder.apply(encoder, noisy, train=train)
 
 
-def condition(config: ConfigDict, latent: Any, camera: Any, cameras: int) -> Any:
+def condition(config: ConfigDict | FrozenConfigDict, latent: Any, camera: Any, cameras: int) -> Any:
     """What the critic is told about the camera: nothing (the paper), its name, or the encoder's latent."""
     if config.critic_condition == "none":
         return None

@@ -11,18 +11,18 @@ from cannoise_jax.trials.size import summary
 
 
 def test_replicates_resume_and_shards_add_up(tmp_path, capsys):
-    settings = ["size", "--seed", "3", "--replicates", "4", "--size", "64x64"]
+    settings = ["size", "--seed", "3", "--replicates", "3", "--size", "64x64"]
     assert main([*settings, "--out", str(tmp_path / "whole")]) == 0
     whole = json.loads(capsys.readouterr().out)
-    assert whole["size"]["sets"] == 4
+    assert whole["size"]["sets"] == 3
     for shard in ("1/2", "2/2"):
         assert main([*settings, "--out", str(tmp_path / "parts"), "--shard", shard]) == 0
         said = json.loads(capsys.readouterr().out)
     assert said == whole
-    part = tmp_path / "parts" / "size_2_of_2.jsonl"
+    part = tmp_path / "parts" / "size_1_of_2.jsonl"  # of two
     kept = part.read_text()
     part.write_text(kept[:-30])  # a run that was cut off inside its last line
-    assert main([*settings, "--out", str(tmp_path / "parts"), "--shard", "2/2"]) == 0
+    assert main([*settings, "--out", str(tmp_path / "parts"), "--shard", "1/2"]) == 0
     assert json.loads(capsys.readouterr().out) == whole
     assert main([*settings[:2], "4", *settings[3:], "--out", str(tmp_path / "whole")]) == 2
     assert "choose a new folder" in capsys.readouterr().err

@@ -107,7 +107,7 @@ def behind():
     return diagnose(camera(3, before=0.0, behind=1.0), compare=False)
 
 
-@pytest.mark.parametrize("seed", (6, 9, 11))
+@pytest.mark.parametrize("seed", (6, *(pytest.param(n, marks=pytest.mark.slow) for n in (9, 11))))
 def test_strong_columns_are_no_gains_of_columns(seed):
     """The smooth surface of a flat takes up nothing of what the darks show of columns."""
     fitted = diagnose(camera(seed, before=0.0, behind=1.0), compare=False).fitted

@@ -42,8 +42,19 @@ def row_noise(frames):
     return float(np.sqrt(max(rest.mean(2).var() * len(values) / (len(values) - 1) - pixel, 0.0)))
 
 
-@pytest.mark.parametrize("given", [lambda m: m, function_of], ids=["sensor", "function"])
-@pytest.mark.parametrize("there", [0.0, 1.2])
+def own_sensor(model):
+    return model
+
+
+@pytest.mark.parametrize(
+    ("given", "there"),
+    [
+        (own_sensor, 1.2),
+        (function_of, 0.0),
+        pytest.param(own_sensor, 0.0, marks=pytest.mark.slow),
+        pytest.param(function_of, 1.2, marks=pytest.mark.slow),
+    ],
+)
 def test_what_is_too_much_is_lowered_in_what_is_handed_back(given, there):
     capture = capture_set(71, rows(there) if there else None, kinds="d", frames=12)
     found = diagnose(capture, given(sensor(3.0)), KEY)

@@ -12,10 +12,11 @@ import pytest
 
 from cannoise_jax.evaluation.beyond import BEYOND, beyond_bench
 from cannoise_jax.evaluation.model_suites import ablation_suite, cameras_suite, encoder_suite, iso_suite
-from cannoise_jax.evaluation.noise_models import baselines, learned, make_bench, references_of
+from cannoise_jax.evaluation.noise_models import Bench, baselines, learned, make_bench, references_of
 from cannoise_jax.evaluation.suites import Request, kl_by_unit, noise_suite
 from cannoise_jax.networks import Encoder, Generator
 from cannoise_jax.physics.core.settings import baseline_at
+from cannoise_jax.physics.synthetic.virtual import virtual_cameras, virtual_patches
 from cannoise_jax.sampling import make_model
 
 
@@ -99,13 +100,16 @@ def test_levels_beyond_the_prior_are_those_of_the_estimate_without_learning(requ
 
 def test_more_trained_models_stand_among_the_noise_models_each_camera_on_its_own_sensor(request_):
     """A generator that learned nothing, on the true sensors, is nearly the truth where the gain is told."""
-    bench = request_.bench
+    cameras, key = virtual_cameras()[::4], jax.random.key(0)  # two, for each sensor is a program of its own
+    bench = Bench(*(virtual_patches(key, of, 5, 1, cameras) for of in ("test", "train")), cameras)
     own = dataclasses.replace(
         request_.models[0], sensors=tuple(c.sensor for c in bench.cameras), initial_noise="sensor",
         exposure_s=0.01, level="given",  # so is the level below: one program for both
     )  # fmt: skip
-    draws = {name: request_.draws[name] for name in ("truth", "pg")}
-    outcome = noise_suite(dataclasses.replace(request_, draws=draws, seeds=1, also={"on the sensor": (own,)}))
+    everything = baselines(bench)
+    draws = {name: everything[name] for name in ("truth", "pg")}
+    asked = dataclasses.replace(request_, bench=bench, draws=draws, seeds=1, also={"on the sensor": (own,)})
+    outcome = noise_suite(asked)
     assert set(outcome.tables[0]["rows"]) == {"truth", "pg", "model", "on the sensor"}
     assert [f["kind"] for f in outcome.figures] == ["bars", "image", "image"]
     shot = []

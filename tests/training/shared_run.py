@@ -12,6 +12,8 @@ from runpy import run_path
 from types import SimpleNamespace
 from unittest import mock
 
+import jax
+
 from cannoise_jax.training import loop
 from cannoise_jax.training.devices import join, leave, make_mesh
 
@@ -51,12 +53,12 @@ def main(folder, data, devices, coordinator=None, processes="1", process="0"):
 
         refused = command(["--workdir", f"{folder}/none", "--config", str(CI), f"--devices={devices}"])
         assert refused == 2, "a batch of four over eight devices"
-    outcome = run(
-        folder,
-        pickle.loads(Path(data).read_bytes()),
-        int(devices),
-        lambda: os.kill(os.getpid(), signal.SIGTERM) if stopped else None,
-    )
+    drawn, first = pickle.loads(Path(data).read_bytes())
+    first = first._replace(key=jax.random.wrap_key_data(first.key))
+    with mock.patch.object(loop, "init_state", lambda *_: first):  # of one device, as ever
+        outcome = run(
+            folder, drawn, int(devices), lambda: os.kill(os.getpid(), signal.SIGTERM) if stopped else None
+        )
     leave()
     print(outcome.step, flush=True)
 

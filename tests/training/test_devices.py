@@ -9,11 +9,14 @@ import socket
 import subprocess
 import sys
 
+import jax
+import jax.numpy as jnp
 import pytest
 
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.training.data import load_data
 from cannoise_jax.training.devices import join, make_mesh
+from cannoise_jax.training.state import init_state
 from tests.training.shared_run import CI, STOP, config, run
 
 ROOT = CI.parents[1]
@@ -22,10 +25,13 @@ CODE = ("cannoise_jax/training", "cannoise_jax/networks", "cannoise_jax/recordin
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory):
-    """What all runs train on, and a file of it: drawing it takes longer than training."""
+    """What all runs train on, and a file of it and of the state that they begin with: drawing one and
+    compiling the other takes longer than training."""
     drawn = load_data(config(), tmp_path_factory.mktemp("data"))
+    state = init_state(config(), drawn.known, jnp.asarray(drawn.noisy_examples()))
+    first = jax.device_get(state._replace(key=jax.random.key_data(state.key)))
     file = tmp_path_factory.mktemp("drawn") / "data.pickle"
-    file.write_bytes(pickle.dumps(drawn))
+    file.write_bytes(pickle.dumps((drawn, first)))
     return drawn, file
 
 

@@ -20,6 +20,8 @@ from cannoise_jax.networks.statistics import noise_statistics
 from cannoise_jax.recordings.pipeline import ArrayPatches, Subset
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.training import loop
+from cannoise_jax.training import state as state_module
+from cannoise_jax.training import step as step_module
 from cannoise_jax.training.checkpoint import Checkpoints
 from cannoise_jax.training.data import load_data
 from cannoise_jax.training.devices import everywhere
@@ -87,7 +89,8 @@ def newest_state(config, folder):
 
 
 def test_the_same_config_interrupted_and_resumed_gives_the_same_bits(config, data, finished, tmp_path):
-    jax.clear_caches()  # compiled anew, as in another process
+    for programs in (state_module._first_programs, step_module._train_step):
+        programs.cache_clear()  # traced anew, as in another process
 
     def interrupt(step):
         if step == 4:
