@@ -19,6 +19,7 @@ from cannoise_jax.commands import diagnose
 from cannoise_jax.commands.entry import command, duration, progress
 from cannoise_jax.commands.fleet_process import diagnose_set, end_all
 from cannoise_jax.commands.fleet_sets import Source, check_out, recorded, sets_of, source_of
+from cannoise_jax.commands.interrupts import after_loading
 from cannoise_jax.commands.outputs import check_folder, make_folder
 from cannoise_jax.commands.parser import OneLineParser, count, folder, place
 from cannoise_jax.recordings.atomic import REPORT_FILES
@@ -65,7 +66,7 @@ def _stoppable() -> Iterator[None]:
     def stop(*_: Any) -> None:
         raise _Stopped
 
-    before = signal.signal(signal.SIGTERM, stop)
+    before = signal.signal(signal.SIGTERM, after_loading(stop))
     try:
         yield
     finally:

@@ -27,6 +27,7 @@ from ml_collections import ConfigDict, config_flags
 
 from cannoise_jax.commands.entry import command
 from cannoise_jax.commands.entry import progress as progress_of
+from cannoise_jax.commands.interrupts import after_loading
 from cannoise_jax.recordings.opened import json_of
 from cannoise_jax.recordings.recording import CFA_PATTERNS, BadInput
 
@@ -117,7 +118,8 @@ def _interruptible() -> Iterator[Callable[[], None]]:
     if threading.current_thread() is not threading.main_thread():
         yield check  # signals cannot be caught here
         return
-    before = {number: signal.signal(number, handle) for number in (signal.SIGTERM, signal.SIGINT)}
+    later = after_loading(handle)
+    before = {number: signal.signal(number, later) for number in (signal.SIGTERM, signal.SIGINT)}
     try:
         yield check
     finally:
