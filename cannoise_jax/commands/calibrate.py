@@ -85,7 +85,7 @@ def _run(arguments: argparse.Namespace) -> int:
     notes = as_recorded(model, transfers, findings)
     for note in notes:
         print(note, end="\n\n")
-    texts = _texts(beside, model.camera, shown, capture, (*notes, *_unlike(transfers)))
+    texts = _texts(beside, model.camera, shown, capture, (*notes, *_doubted(transfers)))
     with texts_in_place(texts, (arguments.out, arguments.out.with_suffix(".npz"))):
         write_sensor(arguments.out, model)
     names = ", ".join(f.mechanism for f in model.mechanisms) or "none"
@@ -131,11 +131,15 @@ def _texts(
     }
 
 
-def _unlike(transfers: Sequence[PhotonTransfer]) -> list[str]:
-    """What was said on the way of flats that no dark is as warm as, which bears on all numbers of a sheet."""
+def _doubted(transfers: Sequence[PhotonTransfer]) -> list[str]:
+    """What was said on the way that bears on all numbers of a sheet: flats that no dark is as warm as, and
+    what is stated and contradicted by the recordings."""
     from cannoise_jax.physics.transfer.one_temperature import no_dark_as_warm
+    from cannoise_jax.physics.transfer.stated import colours_line, exposures_lines
 
-    lines = (no_dark_as_warm([s.recording for s in t.statistics]) for t in transfers)
+    lines: list[str] = []
+    for one in (t.statistics for t in transfers):
+        lines += (no_dark_as_warm([s.recording for s in one]), colours_line(one), *exposures_lines(one))
     return list(dict.fromkeys(filter(None, lines)))
 
 

@@ -97,13 +97,16 @@ def test_two_isos_become_two_baselines(folder, tmp_path, capsys):
     assert "ISO 100" in capsys.readouterr().out
 
 
-def test_overrides_reach_the_recordings(folder, tmp_path, capsys):
+def test_overrides_reach_the_recordings_and_a_wrong_order_the_sheet(folder, tmp_path, caplog):
     out = tmp_path / "sensor.json"
+    (folder / "flat.h5").unlink()
+    write(folder / "flat.h5", np.tile([[2000.0, 1200.0], [1800.0, 2000.0]], (32, 48)), "flat")
     flags = ["--cfa", "BGGR", "--white-level", "8000", "--black-level", "250"]
     assert main(["--recordings", str(folder), "--out", str(out), *flags]) == 0
     document = json.loads(out.read_text())
     assert document["cfa"] == "BGGR" and document["white_level"] == 8000
-    capsys.readouterr()
+    said = "the two greens of BGGR differ by 40 %"
+    assert said in caplog.text and said in (tmp_path / "sensor_emva1288.html").read_text()
 
 
 def spoilt(frames, trouble):
