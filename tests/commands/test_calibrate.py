@@ -78,7 +78,10 @@ def test_how_far_it_is_is_said_as_estimators_end_and_not_before(folder, monkeypa
         "counted",
         lambda items, doing, named=None: (said.append((doing, len(measured))) or i for i in items),
     )
+    stages: list[str] = []
+    monkeypatch.setattr(calibrate, "now_at", stages.append)
     calibrate.calibrate(load_capture_set(folder))
+    assert stages == ["photon transfer", "mechanisms: which of them explain the others"]
     channels = [at for doing, at in said if doing.endswith("channels")]
     estimators = [at for doing, at in said if doing.endswith("estimators")]
     assert channels == [0] * 4 and len(estimators) > 20
