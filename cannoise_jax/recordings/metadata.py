@@ -288,7 +288,7 @@ def _check_stated(path: str | Path, stated: Mapping[str, Any]) -> None:
     missing = [name for name in _FLAGS if name not in stated]
     if missing:
         many = len(missing) > 1
-        flags = _and([_FLAGS[name] for name in missing])
+        flags = f"{_and([_FLAGS[name] for name in missing])} ({_and([f'{n}=' for n in missing])} in Python)"
         raise BadInput(
             f"{path}: {_and(missing)} {'are' if many else 'is'} missing: set {'them' if many else 'it'} with "
             f"{flags}"
