@@ -123,6 +123,21 @@ def test_one_command_inside_another_beats_once(monkeypatch):
     assert pulses.current() is not outer
 
 
+@pytest.mark.parametrize("closed", ["", "2>/dev/full", "2>&-"])
+def test_a_refusal_that_nobody_hears_has_its_status(closed, tmp_path):
+    if not os.path.exists("/dev/full"):
+        pytest.skip("no /dev/full")
+    run = (
+        sys.executable,
+        "-m",
+        "cannoise_jax.commands.start",
+        "convert",
+        tmp_path / "none",
+        tmp_path / "out",
+    )
+    assert subprocess.run(["sh", "-c", f"{' '.join(map(str, run))} {closed}"], timeout=60).returncode == 2
+
+
 @pytest.mark.parametrize("closed", [">/dev/full", ">&-", "2>/dev/full", "2>&-"])
 def test_a_command_ends_its_work_where_what_it_prints_cannot_be_kept(closed, tmp_path):
     if not os.path.exists("/dev/full"):
