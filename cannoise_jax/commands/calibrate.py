@@ -27,7 +27,7 @@ from cannoise_jax.commands.parser import (
     options,
     place,
 )
-from cannoise_jax.commands.pulse import current
+from cannoise_jax.commands.pulse import current, now_at
 from cannoise_jax.recordings.recording import BadInput
 
 if TYPE_CHECKING:
@@ -50,6 +50,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    now_at("loading libraries")
     check_file(arguments.out, ".json", arguments.force)
     own = _own(arguments.mechanisms)
     beside = _beside(arguments.out)
@@ -67,6 +68,7 @@ def _run(arguments: argparse.Namespace) -> int:
     for line in left_out:
         print(f"bin/calibrate: {line}", file=sys.stderr, flush=True)
 
+    now_at("loading what measures")
     from cannoise_jax.physics.core.sensor_json import check_place, write_sensor
     from cannoise_jax.physics.transfer.as_recorded import as_recorded
     from cannoise_jax.physics.transfer.model import format_findings, sensor_model
@@ -76,6 +78,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
     check_place(arguments.out)
     transfers, findings = calibrate(capture, own)
+    now_at("putting the camera model and the table together")
     model = sensor_model(transfers, findings)
     shown = tuple(map(of_all_pixels, transfers))
     for transfer in shown:
@@ -85,7 +88,8 @@ def _run(arguments: argparse.Namespace) -> int:
     notes = as_recorded(model, transfers, findings)
     for note in notes:
         print(note, end="\n\n")
-    texts = _texts(beside, model.camera, shown, capture, (*notes, *_unlike(transfers)))
+    now_at("drawing the sheet")
+    texts = _texts(beside, model.camera, shown, capture, (*notes, *_doubted(transfers)))
     with texts_in_place(texts, (arguments.out, arguments.out.with_suffix(".npz"))):
         write_sensor(arguments.out, model)
     names = ", ".join(f.mechanism for f in model.mechanisms) or "none"
@@ -131,11 +135,15 @@ def _texts(
     }
 
 
-def _unlike(transfers: Sequence[PhotonTransfer]) -> list[str]:
-    """What was said on the way of flats that no dark is as warm as, which bears on all numbers of a sheet."""
+def _doubted(transfers: Sequence[PhotonTransfer]) -> list[str]:
+    """What was said on the way that bears on all numbers of a sheet: flats that no dark is as warm as, and
+    what is stated and contradicted by the recordings."""
     from cannoise_jax.physics.transfer.one_temperature import no_dark_as_warm
+    from cannoise_jax.physics.transfer.stated import colours_line, exposures_lines
 
-    lines = (no_dark_as_warm([s.recording for s in t.statistics]) for t in transfers)
+    lines: list[str] = []
+    for one in (t.statistics for t in transfers):
+        lines += (no_dark_as_warm([s.recording for s in one]), colours_line(one), *exposures_lines(one))
     return list(dict.fromkeys(filter(None, lines)))
 
 
@@ -194,6 +202,7 @@ def calibrate(
     from cannoise_jax.physics.transfer.one_temperature import of_one_temperature
     from cannoise_jax.physics.transfer.photon_transfer import transfer_at
 
+    now_at("photon transfer")
     # As `photon_transfer`, which does not say how far it is.
     every: dict[float | None, list[FrameStatistics]] = {}
     alike: dict[float | None, list[FrameStatistics]] = {}
@@ -216,6 +225,7 @@ def calibrate(
     transfers = tuple(transfer_at(every[iso], channels) for iso in order)
     for transfer in transfers:
         if isinstance(transfer.baseline, Baseline):
+            now_at("mechanisms: which of them explain the others")
             each = partial(counted, doing="mechanisms: estimators", named=lambda entry: entry.record.id)
             found = find_mechanisms(transfer.statistics, transfer.baseline, (*LISTED, *own), each)
             return transfers, found

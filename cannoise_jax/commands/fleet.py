@@ -8,19 +8,22 @@ import os
 import signal
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from cannoise_jax.commands import diagnose
-from cannoise_jax.commands.entry import command, duration, progress
+from cannoise_jax.commands.entry import command, duration
 from cannoise_jax.commands.fleet_process import diagnose_set, end_all
+from cannoise_jax.commands.fleet_progress import FleetProgress
 from cannoise_jax.commands.fleet_sets import Source, check_out, recorded, sets_of, source_of
+from cannoise_jax.commands.interrupts import after_loading
 from cannoise_jax.commands.outputs import check_folder, make_folder
 from cannoise_jax.commands.parser import OneLineParser, count, folder, place
+from cannoise_jax.commands.pulse import current
 from cannoise_jax.recordings.atomic import REPORT_FILES
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.recordings.unfinished import is_finished
@@ -65,7 +68,7 @@ def _stoppable() -> Iterator[None]:
     def stop(*_: Any) -> None:
         raise _Stopped
 
-    before = signal.signal(signal.SIGTERM, stop)
+    before = signal.signal(signal.SIGTERM, after_loading(stop))
     try:
         yield
     finally:
@@ -92,20 +95,21 @@ def _run(arguments: Any, flags: list[str]) -> int:
     with _executor(arguments.scheduler, arguments.processes) as executor:
         make_folder(out)
         table = _write(out, found, record, flags)
-        jobs = {
-            executor.submit(diagnose_set, str(place), os.path.abspath(out / name), own, os.getcwd()): name
-            for name, place in sets.items()
-            if name not in found
-        }
-        begun = time.monotonic()
-        tell = progress("diagnosing: sets", alone=False)
-        tell(0, len(jobs))
-        for number, job in enumerate(as_completed(jobs), start=1):
-            tell(number, len(jobs))
+        asked = {name: place for name, place in sets.items() if name not in found}
+        how_far = FleetProgress(len(asked), arguments.processes)
+        current().at(how_far.words)
+        jobs: dict[Future[str | None], str] = {}
+        for name, place in asked.items():
+            words = str(place), os.path.abspath(out / name), own, os.getcwd()
+            # Workers elsewhere cannot be listened to.
+            heard = () if arguments.scheduler else (partial(how_far.heard, name),)
+            jobs[executor.submit(diagnose_set, *words, *heard)] = name
+        for job in as_completed(jobs):
             name = jobs[job]
             found[name] = row = _outcome(job, name, out)
-            still = (time.monotonic() - begun) / number * (len(jobs) - number)
-            left = f" ({duration(still)} left)" if number < len(jobs) else ""
+            how_far.ended(name, row["error"] is not None)
+            still = how_far.left()
+            left = "" if still is None else f" (some {duration(still)} left)"
             print(f"{len(found)} of {len(sets)}: {name}: {row['verdict'] or row['error']}{left}", flush=True)
             if row["error"] is None:
                 record[name] = now[name]

@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -24,17 +24,30 @@ _RUNNING: set[subprocess.Popen] = set()
 """Processes of this one, whichever thread waits for them."""
 
 
-def diagnose_set(recordings: str, out: str, flags: Sequence[str], here: str) -> str | None:
-    """Diagnoses one set in a process of its own, whose end, whatever it is, ends nothing else.
+def diagnose_set(
+    recordings: str,
+    out: str,
+    flags: Sequence[str],
+    here: str,
+    heard: Callable[[str], None] = lambda line: None,
+) -> str | None:
+    """Diagnoses one set in a process of its own, whose end, whatever it is, ends nothing else. heard: called
+    with what it says, line by line, and with nothing when it begins.
 
     Returns its error in one line, None where there is none.
     """
     make_folder(Path(out).parent)
+    said = []
     with _running(["diagnose", "--recordings", recordings, "--out", out, *flags], here) as process:
-        _, said_all = process.communicate()
+        heard("")
+        assert process.stderr is not None
+        for line in process.stderr:
+            heard(line)
+            said.append(line.strip())
+        process.wait()
     if process.returncode == 0:
         return None
-    said = said_all.strip().splitlines() or ["nothing said"]
+    said = [line for line in said if line] or ["nothing said"]
     own = [line.removeprefix("bin/diagnose: ") for line in said if line.startswith("bin/diagnose: ")]
     return (
         own[-1] if own and process.returncode > 0 else f"ended with status {process.returncode}: {said[-1]}"
@@ -61,7 +74,7 @@ def _running(words: list[str], here: str) -> Iterator[subprocess.Popen]:
         start = [sys.executable, "-m", "cannoise_jax.commands.fleet_process", str(theirs)]
         with _GUARD:
             process = subprocess.Popen(
-                [*start, *words], cwd=here, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+                [*start, *words], cwd=here, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
                 stderr=subprocess.PIPE, text=True, errors="replace", pass_fds=(theirs,),
             )  # fmt: skip
             _RUNNING.add(process)

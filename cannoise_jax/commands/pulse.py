@@ -131,6 +131,11 @@ def current() -> Pulse:
     return _CURRENT[0] if _CURRENT else Pulse("")
 
 
+def now_at(text: str) -> None:
+    """What the command that runs is at from now on, where it says nothing itself."""
+    current().at(lambda: text)
+
+
 @contextmanager
 def beating(pulse: Pulse, stream: Stream) -> Iterator[None]:
     """Within it signs of life are written to a stream."""

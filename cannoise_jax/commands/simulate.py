@@ -32,6 +32,7 @@ from cannoise_jax.recordings.recording import BadInput, iso_of_gain
 
 if TYPE_CHECKING:
     import jax
+    import numpy as np
 
     from cannoise_jax.commands.scenes import Clean
     from cannoise_jax.physics.core.sensor import SensorModel, Settings
@@ -135,6 +136,7 @@ def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording
     if arguments.gain is not None:
         iso = iso_of_gain(arguments.gain)
     settings = Settings(iso, arguments.exposure, arguments.temperature, arguments.frames)
+    _check_noise(model, iso, f"--iso {iso:.9g}" if arguments.gain is None else f"--gain {arguments.gain:g}")
     clean_scenes = scenes(arguments.clean, model.cfa, arguments.size or _stored_size(model))
     paths = [arguments.out / _name(clean, settings, arguments.gain, arguments.unit) for clean in clean_scenes]
     for clean, path in zip(clean_scenes, paths, strict=True):
@@ -159,6 +161,34 @@ def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording
             tell(number + 1, len(clean_scenes))
 
 
+def _check_noise(model: SensorModel, iso: float, asked: str) -> None:
+    """Raises BadInput for a setting so far off those of the calibration that its noise is no camera's."""
+    import numpy as np
+
+    from cannoise_jax.recordings.stated_values import MOST_NLF
+
+    if max(float(np.max(v)) for v in _noise_at(model, iso)) > MOST_NLF:
+        known = np.asarray(model.iso)
+        raise BadInput(
+            f"{asked}: the noise of {model.camera} would there be wider than its whole range: it is "
+            f"calibrated at ISO {known.min():g} to {known.max():g}, name one not far off"
+        )
+
+
+def _noise_at(model: SensorModel, iso: float) -> tuple[np.ndarray, np.ndarray]:
+    """Shot and read of every site, normalised, as the baseline has them."""
+    import jax.numpy as jnp
+    import numpy as np
+
+    from cannoise_jax.physics.core.poisson_gaussian import nlf_from_electrons
+    from cannoise_jax.physics.core.settings import baseline_at, black_at
+
+    gain, read_noise = (np.asarray(v) for v in baseline_at(model, iso))
+    span = jnp.asarray(model.white_level) - np.asarray(black_at(model, iso))
+    shot, read = nlf_from_electrons(gain, read_noise, span)
+    return np.asarray(shot), np.asarray(read)
+
+
 def _name(clean: Clean, settings: Settings, decibels: float | None, unit: int | None) -> str:
     """The file of a recording: scene and setting, so that those of several settings lie side by side."""
     gain = f"iso{settings.iso:g}" if decibels is None else f"gain{decibels:g}dB"
@@ -171,11 +201,9 @@ def _name(clean: Clean, settings: Settings, decibels: float | None, unit: int | 
 def record(model: SensorModel, key: jax.Array, clean: Clean, settings: Settings) -> Recording:
     """A recording of one clean mosaic: frames, and in `clean`, `shot` and `read` what the baseline
     expects."""
-    import jax.numpy as jnp
     import numpy as np
 
-    from cannoise_jax.physics.core.poisson_gaussian import nlf_from_electrons
-    from cannoise_jax.physics.core.settings import baseline_at, black_at
+    from cannoise_jax.physics.core.settings import black_at
     from cannoise_jax.recordings.recording import Recording, per_channel
 
     with warnings.catch_warnings(record=True) as caught:
@@ -184,9 +212,8 @@ def record(model: SensorModel, key: jax.Array, clean: Clean, settings: Settings)
     for warning in caught:
         if str(warning.category.__module__).startswith("cannoise_jax"):
             logging.warning("%s", warning.message)
-    gain, read_noise = (np.asarray(v) for v in baseline_at(model, settings.iso))
+    shot, read = _noise_at(model, settings.iso)
     black = np.asarray(black_at(model, settings.iso))
-    shot, read = nlf_from_electrons(gain, read_noise, jnp.asarray(model.white_level) - black)
     return Recording(
         frames=frames,
         cfa=model.cfa,
@@ -198,8 +225,8 @@ def record(model: SensorModel, key: jax.Array, clean: Clean, settings: Settings)
         iso=settings.iso,
         exposure_s=settings.exposure_s,
         temperature_c=settings.temperature_c,
-        shot=per_channel(np.asarray(shot)),
-        read=per_channel(np.asarray(read)),
+        shot=per_channel(shot),
+        read=per_channel(read),
         code_step=float(np.asarray(model.code_step)),
         reference="independent" if clean.kind == "scene" else None,
     )

@@ -1,8 +1,9 @@
 """How far a diagnosis is: what it is at, and how long the rest may take.
 
-How long the search takes depends on what there is to find. The stages after it take times that go with the
-number of findings, in proportions that hold from one camera to the next: so the rest is told once the search
-has ended, from the time that it took.
+All stages look at the same frames with the same statistics. So what one pass of them over the frames takes,
+the first of which is timed, tells what the stages take: each so many passes and so many more for every
+finding, in proportions that hold from one camera to the next. What stages have taken corrects it. A stage
+that goes on far beyond its time tells nothing of when it ends: then no time is said.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ from cannoise_jax.commands.pulse import current
 
 
 class Cost(NamedTuple):
-    """What a stage takes beside the others: for itself, and for every finding. begins: with what its lines
-    begin. counted: whether how many pieces are done of it tells how far it is."""
+    """What a stage takes, in passes over the frames: for itself, and for every finding. begins: with what its
+    lines begin. counted: whether how many pieces are done of it tells how far it is."""
 
     begins: tuple[str, ...]
     alone: float
@@ -27,21 +28,27 @@ class Cost(NamedTuple):
     counted: bool = False
 
 
-SEARCH = Cost(("",), 10.0, 3.0)
 STAGES = (
-    SEARCH,
-    Cost(("prove: on", "prove: likelihood"), 4.0, 1.2, True),
-    Cost(("prove: strength",), 3.0, 1.1, True),
-    Cost(("gate",), 25.0, 0.2),
-    Cost(("adequacy",), 8.0, 3.0, True),
-    Cost(("remainder",), 30.0, 1.5),
-    Cost(("check", "compare"), 22.0, 1.0),
+    Cost(("",), 0.0, 0.8),
+    Cost(("prove: on", "prove: likelihood"), 5.0, 0.0),
+    Cost(("prove: strength",), 5.5, 0.0),
+    Cost(("gate",), 8.5, 0.0),
+    Cost(("adequacy",), 1.0, 0.75, True),
+    Cost(("remainder",), 2.0, 1.3),
+    Cost(("check", "compare"), 6.0, 0.0),
 )
-"""In order; measured on five cameras with 3 to 20 findings."""
+"""In order, the search first; measured on five cameras with 3 to 18 findings."""
+_PASS, _ALL_LOOK = "locate:", "none held back"
+"""With what the line of the first pass begins; what it says where all frames look: then there are none to
+prove on, and the last stage follows the search."""
+_USUAL, _MORE = 8, 4
+"""Findings that a search is expected to end with at least, and beyond those it has, while it finds more."""
 _COUNT = re.compile(r"(\d+) of (\d+)\b")
 _STEP = re.compile(r"step (\d+)\b")
-_OVERDUE = 0.3
-"""Of the time that a stage has taken, what it takes more at least."""
+_OWN_TIME = re.compile(r", some \d+ s more$")
+"""What a comparison says of its own end, which is not that of the run."""
+_ENDS = 0.1
+"""Of the time of a stage, what it is expected to take still when that is over."""
 _FEWEST = 3
 """Pieces done from which the time for those that are left is told."""
 
@@ -53,31 +60,43 @@ class Stages:
     def __init__(self, started: float, clock: Callable[[], float] = time.monotonic) -> None:
         self._started, self._clock = started, clock
         self._text, self._kind, self._at = "reading the recordings", "", 0
-        self._began = self._entered = clock()
+        self._entered = clock()
+        self._looking, self._pass = False, 0.0
+        self._took, self._cost, self._next = 0.0, 0.0, 1
         self._findings, self._most, self._pieces = 0, 0, (0, 0)
         current().at(self.words)
 
     def __call__(self, text: str) -> None:
-        now, kind = self._clock(), _COUNT.sub("", text)
-        counted, step = _COUNT.search(text), _STEP.match(text)
-        if step:
+        now, text = self._clock(), _OWN_TIME.sub("", text)
+        counted, kind = _COUNT.search(text), _COUNT.sub("", text)
+        first = self._looking
+        if first:  # the pass is over
+            self._pass, self._looking = now - self._entered, False
+        if text.startswith(_PASS):
+            self._looking, self._next = True, len(STAGES) - 1 if _ALL_LOOK in text else 1
+        at = max(n for n, stage in enumerate(STAGES) if text.startswith(stage.begins))
+        entered = at > self._at  # else it is said within a later one
+        if entered and self._at:
+            self._took += now - self._entered
+            self._cost += self._passes(STAGES[self._at])
+        if entered or first or self._looking:
+            self._entered = now
+        self._at = max(at, self._at)
+        if step := _STEP.match(text):
             self._findings = int(step[1])
             self._most = max(self._most, self._findings)
         elif text.startswith("given up"):
             self._findings -= 1
-        at = max(n for n, stage in enumerate(STAGES) if text.startswith(stage.begins))
-        entered = at > self._at  # else it is said within a later one
-        if entered:
-            self._at, self._entered = at, now
-        if kind != self._kind:
-            self._pieces = 0, 0
+        same, self._text, self._kind = kind == self._kind, text, kind
         if counted:
             self._pieces = int(counted[1]), int(counted[2])
-        self._text, same, self._kind = text, kind == self._kind, kind
+        elif not same:
+            self._pieces = 0, 0
         if counted and same:
             return
-        left = f"; {_some(seconds)}" if entered and (seconds := self.left()) is not None else ""
-        print(f"[{now - self._started:6.1f} s] {text}{left}", file=sys.stderr, flush=True)
+        left = f"; {_some(seconds)}" if (entered or first) and (seconds := self.left()) is not None else ""
+        # In one piece: comparisons of several recordings are said by threads of their own.
+        print(f"[{now - self._started:6.1f} s] {text}{left}\n", end="", file=sys.stderr, flush=True)
 
     def words(self) -> str:
         """What the run is at, and how long the rest may take."""
@@ -86,18 +105,23 @@ class Stages:
 
     def left(self) -> float | None:
         """Seconds that the rest may take; None while nobody knows."""
-        if not self._at:
+        if not self._pass:
             return None
-        costs = [stage.alone + stage.finding * self._findings for stage in STAGES]
-        costs[0] = SEARCH.alone + SEARCH.finding * self._most
-        unit = (self._entered - self._began) / sum(costs[: self._at])
-        spent, (done, pieces) = self._clock() - self._entered, self._pieces
-        if STAGES[self._at].counted and _FEWEST <= done < pieces:
-            own = spent / done * (pieces - done)
-        else:
-            # What has taken longer than expected will not end at once.
-            own = max(unit * costs[self._at] - spent, _OVERDUE * spent)
-        return own + unit * sum(costs[self._at + 1 :])
+        unit = (self._pass + self._took) / (1 + self._cost)
+        stage, spent, (number, pieces) = STAGES[self._at], self._clock() - self._entered, self._pieces
+        own = unit * self._passes(stage)
+        rest = unit * sum(self._passes(s) for s in STAGES[max(self._at + 1, self._next) :])
+        if stage.counted and _FEWEST < number <= pieces:  # the last of them has just begun
+            return spent / (number - 1) * (pieces - number + 1) + rest
+        if spent - own > max(own, rest) / 2:
+            return None
+        return max(own - spent, _ENDS * own) + rest
+
+    def _passes(self, stage: Cost) -> float:
+        finds = not self._at and (self._looking or _STEP.match(self._text))
+        found = self._findings if stage is not STAGES[0] else self._most  # to give up takes its time, too
+        findings = max(found + _MORE, _USUAL) if finds else found
+        return stage.alone + stage.finding * findings
 
 
 def _some(seconds: float) -> str:

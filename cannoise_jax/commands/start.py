@@ -13,8 +13,6 @@ from functools import partial
 from importlib import import_module
 from typing import Any
 
-from cannoise_jax.commands.compiled import keep_compiled
-
 _INTERRUPTED = 130
 
 
@@ -26,12 +24,16 @@ def run(name: str) -> int:
     for stream in (sys.stdout, sys.stderr):  # names of files may hold bytes that no text has
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
+    from cannoise_jax.commands.compiled import keep_compiled
+    from cannoise_jax.commands.interrupts import after_loading
+
     keep_compiled()
     # The work is shared out above: threads of the library of matrices would fight with those that share it.
     if "OMP_NUM_THREADS" not in os.environ:  # whoever states it has chosen
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     main = import_module(f"cannoise_jax.commands.{name}").main
-    signal.signal(signal.SIGINT, before)
+    if before is signal.default_int_handler:  # which raises KeyboardInterrupt
+        signal.signal(signal.SIGINT, after_loading(before))
     try:
         status = main()
     except KeyboardInterrupt:  # once more, while the command ended for the first

@@ -27,6 +27,8 @@ from ml_collections import ConfigDict, config_flags
 
 from cannoise_jax.commands.entry import command
 from cannoise_jax.commands.entry import progress as progress_of
+from cannoise_jax.commands.interrupts import after_loading
+from cannoise_jax.commands.pulse import now_at
 from cannoise_jax.recordings.opened import json_of
 from cannoise_jax.recordings.recording import CFA_PATTERNS, BadInput
 
@@ -117,7 +119,8 @@ def _interruptible() -> Iterator[Callable[[], None]]:
     if threading.current_thread() is not threading.main_thread():
         yield check  # signals cannot be caught here
         return
-    before = {number: signal.signal(number, handle) for number in (signal.SIGTERM, signal.SIGINT)}
+    later = after_loading(handle)
+    before = {number: signal.signal(number, later) for number in (signal.SIGTERM, signal.SIGINT)}
     try:
         yield check
     finally:
@@ -298,6 +301,7 @@ def _fields(config: dict[str, Any], before: str = "") -> Iterator[str]:
 def _run(
     config: ConfigDict, workdir: Path, values: flags.FlagValues, started: float, check: Callable[[], None]
 ) -> int:
+    now_at("loading libraries")
     import jax
     from tqdm import tqdm
 
@@ -316,6 +320,7 @@ def _run(
     first = is_first()
     check()
     print(f"{workdir}: reading the data", flush=True)
+    now_at("reading the data")
     data = load_data(config, workdir, progress_of("drawing patches of cameras"))
     check()
     named = ", ".join(data.cameras)
@@ -325,6 +330,7 @@ def _run(
         else f"{len(data.train)} cameras drawn from the prior, to be measured on {named}"
     )
     print(f"{trained}; compiling takes a minute", flush=True)
+    now_at("training; its first steps and its first validation are compiled")
 
     def progress(step: int, steps: int):
         return tqdm(
@@ -345,8 +351,10 @@ def _run(
     if not first:
         return 0  # the first measures, alone
     check()
+    now_at("writing the model")
     model = write_model(config, outcome.state, data, workdir)
     check()
+    now_at("measuring on the test scenes")
     sampler = samplers_of(model, config)
     results = compare(sampler, config, data, progress_of("measuring on the test scenes"))
     check()

@@ -126,7 +126,8 @@ def diagnose(
     splits = raw.less(partial(without_own, own=own))
     first = splits.looking
 
-    tell(f"locate: {len(first.signatures)} signatures on {sum(len(a) for a, _ in splits.frames)} frames")
+    looked, alone = sum(len(a) for a, _ in splits.frames), "" if splits.can_prove else ", none held back"
+    tell(f"locate: {len(first.signatures)} signatures on {looked} frames{alone}")
     located = locate(first.fields, first.signatures)
     testable, not_testable = declare.testable(located, first.signatures, entries)
     every = (lambda: splits.together.fields) if splits.can_prove else None

@@ -32,6 +32,7 @@ from cannoise_jax.recordings.stated_values import (
     camera_of,
     channels_of,
     check_exposes,
+    check_sites,
     code_step_of,
     count_of,
     exposure_of,
@@ -97,6 +98,7 @@ def make_recording(
     stated = {k: v for k, v in stated.items() if v is not None}
     _check_frames(path, frames)
     _check_stated(path, stated)
+    check_sites(path, known.get("cfa"))
     check_exposes(path, stated.get("kind"), overrides.get("exposure_s"))
     cfa = pattern_of(path, stated["cfa"])
     if cfa != "MONO" and (frames.shape[1] % 2 or frames.shape[2] % 2):
@@ -286,7 +288,7 @@ def _check_stated(path: str | Path, stated: Mapping[str, Any]) -> None:
     missing = [name for name in _FLAGS if name not in stated]
     if missing:
         many = len(missing) > 1
-        flags = _and([_FLAGS[name] for name in missing])
+        flags = f"{_and([_FLAGS[name] for name in missing])} ({_and([f'{n}=' for n in missing])} in Python)"
         raise BadInput(
             f"{path}: {_and(missing)} {'are' if many else 'is'} missing: set {'them' if many else 'it'} with "
             f"{flags}"

@@ -3,6 +3,7 @@ that light reached, is no repeat of the others."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,16 +19,18 @@ _OFFSET, _JUMP = 1.0, 8.0
 """Noises of a pixel from which a dark is of another level; where offsets that jump are looked for."""
 _ALIKE = 10.0
 """Times that by which all others differ, which an odd level lies off."""
+_SAID = 4
+"""Levels that a line names one by one."""
 _STRIDE = 3
 """Every so many rows and columns tell a level: an odd number, that all sites are among them."""
 
 
 class OddLevels(NamedTuple):
-    """Frames, from 0, at another level than the others, with what all of those differ by; shares of the light
-    for flats, DN for darks. most: how far the furthest lies from the others."""
+    """Frames, from 0, at another level than the others. away: how far each lies from those; others: what all
+    of those differ by; shares of the light for flats, DN for darks."""
 
     numbers: tuple[int, ...]
-    most: float
+    away: tuple[float, ...]
     others: float
 
 
@@ -52,20 +55,30 @@ def odd_levels(recording: Recording, unsteady: bool = False) -> OddLevels | None
         odd, rule = order[-few:], apart[order[:-few]]
         spread = max(float(np.ptp(rule)), step / unit)
         if np.min(np.abs(apart[odd])) > max(least, _ALIKE * spread):
-            most = float(apart[order[-1]])
-            return OddLevels(tuple(sorted(odd.tolist())), most, float(np.ptp(rule)))
+            odd = np.sort(odd)
+            return OddLevels(tuple(odd.tolist()), tuple(apart[odd].tolist()), float(np.ptp(rule)))
     return None
 
 
 def told_level(recording: Recording, found: OddLevels) -> str:
-    """What the level of the frames is beside that of the others."""
+    """What the levels of the frames are beside that of the others."""
     if recording.kind in DARK:
-        why = "light reached it" if found.most > 0 else "its black level is another"
-        return f"{found.most:+.3g} DN from the others, which agree to {found.others:.2g} DN: {why}"
+        why = "another exposure, or light" if max(found.away) > 0 else "another black level"
+        apart = _each(found.away, "+.3g")
+        return f"{apart} DN from the others, which agree to {found.others:.2g} DN: {why}"
+    shares = _each([100 * (1 + away) for away in found.away], ".3g")
     return (
-        f"{100 * (1 + found.most):.3g} % of the light of the others, which agree to "
-        f"{100 * found.others:.2g} %: another exposure, or another light"
+        f"{shares} % of the light of the others, which agree to {100 * found.others:.2g} %: another "
+        "exposure, or another light"
     )
+
+
+def _each(values: Sequence[float], form: str) -> str:
+    """Some numbers in words; of many only the ends."""
+    said = list(dict.fromkeys(format(v, form) for v in values))
+    if len(said) > _SAID:
+        return f"{min(values):{form}} to {max(values):{form}}"
+    return " and ".join(filter(None, (", ".join(said[:-1]), said[-1])))
 
 
 def _levels(recording: Recording) -> tuple[np.ndarray, float, float]:

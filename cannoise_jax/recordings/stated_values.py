@@ -62,13 +62,21 @@ def camera_of(path: str | Path, value: Any) -> str:
 
 def pattern_of(path: str | Path, value: Any) -> str:
     """The mosaic pattern that a file states. Raises BadInput for any other."""
+    check_sites(path, value)
     cfa = text_of(path, "cfa", value).strip().upper()
-    if "TRANS" in cfa or len(cfa) == 36 or cfa in _X_TRANS_ROWS:
-        raise BadInput(f"{path}: an X-Trans mosaic (6x6 sites): only mosaics of 2x2 and monochrome are read")
     if cfa not in CFA_PATTERNS:
         known = ", ".join(CFA_PATTERNS)
         raise BadInput(f"{path}: unknown CFA {_quoted(cfa)}: use --cfa with one of {known}")
     return cfa
+
+
+def check_sites(path: str | Path, value: Any) -> None:
+    """Raises BadInput for what a file states of its colours where no order of 2x2 sites can be right,
+    whatever the caller says."""
+    text = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+    cfa = text.strip().upper() if isinstance(text, str) else ""
+    if "TRANS" in cfa or len(cfa) == 36 or cfa in _X_TRANS_ROWS:
+        raise BadInput(f"{path}: an X-Trans mosaic (6x6 sites): only mosaics of 2x2 and monochrome are read")
 
 
 def one_of(path: str | Path, stated: Mapping[str, Any], name: str, allowed: tuple[str, ...]) -> Any:

@@ -78,7 +78,10 @@ def test_how_far_it_is_is_said_as_estimators_end_and_not_before(folder, monkeypa
         "counted",
         lambda items, doing, named=None: (said.append((doing, len(measured))) or i for i in items),
     )
+    stages: list[str] = []
+    monkeypatch.setattr(calibrate, "now_at", stages.append)
     calibrate.calibrate(load_capture_set(folder))
+    assert stages == ["photon transfer", "mechanisms: which of them explain the others"]
     channels = [at for doing, at in said if doing.endswith("channels")]
     estimators = [at for doing, at in said if doing.endswith("estimators")]
     assert channels == [0] * 4 and len(estimators) > 20
@@ -97,13 +100,16 @@ def test_two_isos_become_two_baselines(folder, tmp_path, capsys):
     assert "ISO 100" in capsys.readouterr().out
 
 
-def test_overrides_reach_the_recordings(folder, tmp_path, capsys):
+def test_overrides_reach_the_recordings_and_a_wrong_order_the_sheet(folder, tmp_path, caplog):
     out = tmp_path / "sensor.json"
+    (folder / "flat.h5").unlink()
+    write(folder / "flat.h5", np.tile([[2000.0, 1200.0], [1800.0, 2000.0]], (32, 48)), "flat")
     flags = ["--cfa", "BGGR", "--white-level", "8000", "--black-level", "250"]
     assert main(["--recordings", str(folder), "--out", str(out), *flags]) == 0
     document = json.loads(out.read_text())
     assert document["cfa"] == "BGGR" and document["white_level"] == 8000
-    capsys.readouterr()
+    said = "the two greens of BGGR differ by 40 %"
+    assert said in caplog.text and said in (tmp_path / "sensor_emva1288.html").read_text()
 
 
 def spoilt(frames, trouble):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -10,7 +11,7 @@ import warnings
 
 import pytest
 
-from cannoise_jax.commands import entry
+from cannoise_jax.commands import entry, interrupts
 from cannoise_jax.physics.core.settings import ExtrapolationWarning
 
 COMMANDS = (
@@ -178,6 +179,40 @@ def test_an_interrupt_while_a_command_is_loaded_is_one_line(ignored):
         assert done.returncode == 0 and "bin/convert" in done.stdout and done.stderr == ""
     else:
         assert (done.returncode, done.stdout, done.stderr) == (130, "", "bin/convert: interrupted\n")
+
+
+@pytest.mark.parametrize(("way", "status"), [("", 130), ("signal.SIG_IGN", 0)])
+def test_an_interrupt_while_a_command_loads_a_library_waits_for_its_end(way, status, tmp_path):
+    """The C++ of a library that is half there ends the process at an exception."""
+    (tmp_path / "library.py").write_text(
+        "import os, signal\nfor _ in range(3): os.kill(os.getpid(), signal.SIGINT)\nprint('loaded')\n"
+    )
+    script = (
+        "import signal, sys, time, types\nfrom cannoise_jax.commands import start\n"
+        f"sys.path.insert(0, {str(tmp_path)!r})\nfrom cannoise_jax.commands.entry import command\n"
+        f"signal.signal(signal.SIGINT, {way or 'signal.default_int_handler'})\n"
+        "@command('x')\ndef main():\n    try:\n        import library\n    finally:\n        print('on')\n"
+        f"    time.sleep({0 if way else 30})\n    return 0\n"
+        "sys.modules['cannoise_jax.commands.x'] = types.SimpleNamespace(main=main)\nsys.exit(start.run('x'))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
+    said = "" if way else "bin/x: interrupted\n"
+    assert (done.returncode, done.stdout, done.stderr) == (status, "loaded\non\n", said)
+
+
+def test_what_never_ends_loading_is_interrupted_all_the_same(monkeypatch):
+    monkeypatch.setattr(interrupts, "_PATIENCE_S", 0.2)
+    monkeypatch.setattr(interrupts, "_is_loading", lambda frame: True)
+    heard: list[int] = []
+    handle = interrupts.after_loading(lambda number, frame: heard.append(number))
+    before = signal.signal(signal.SIGUSR1, handle)
+    try:
+        os.kill(os.getpid(), signal.SIGUSR1)
+        assert not heard
+        time.sleep(0.6)
+        assert heard == [signal.SIGUSR1]
+    finally:
+        signal.signal(signal.SIGUSR1, before)
 
 
 @pytest.mark.parametrize(

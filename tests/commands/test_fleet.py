@@ -19,6 +19,7 @@ from pathlib import Path
 import pytest
 
 from cannoise_jax.commands import fleet, fleet_process
+from cannoise_jax.commands.fleet_progress import FleetProgress
 from cannoise_jax.commands.fleet_sets import sets_of, source_of
 from cannoise_jax.discovery.report.fleet import failed, lines, ranked
 from cannoise_jax.recordings.native import write_recording
@@ -54,6 +55,41 @@ def here(sets, tmp_path_factory):
     first, second, third = said.getvalue().splitlines()[:3]
     assert first.endswith(" left)") and second.endswith(" left)") and not third.endswith(" left)")
     return out
+
+
+def test_how_far_it_is_is_what_the_sets_say_and_took():
+    now = [0.0]
+    fleet_is = FleetProgress(4, 2, lambda: now[0])
+    assert fleet_is.words() == "diagnosing: sets: 0 of 4" and fleet_is.left() is None
+    fleet_is.heard("a", "")
+    fleet_is.heard("b", "")
+    fleet_is.heard("a", "[   2.6 s] locate: 98 signatures on 7 frames\n")
+    assert fleet_is.words() == "diagnosing: sets: 0 of 4, now a: locate: 98 signatures on 7 frames; b"
+    now[0] = 20.0
+    fleet_is.heard("a", "[  20.0 s] still step 1: prnu; some 40 s left\n")
+    assert fleet_is.left() == pytest.approx(
+        (40 + 40 + 2 * 60) / 2
+    )  # each takes a minute, by the first's word
+    assert fleet_is.words().startswith("diagnosing: sets: 0 of 4, some 2 min left, now a: step 1: prnu; b")
+    fleet_is.heard("a", "bin/diagnose: a line of another kind")
+    now[0] = 50.0
+    fleet_is.ended("a", failed=False)
+    fleet_is.ended("c", failed=True)
+    fleet_is.heard("d", "[   0.0 s] reading the recordings; some 1 min left")
+    assert fleet_is.left() == pytest.approx(60)  # not half of it: one set cannot be parted
+    fleet_is.ended("b", failed=False)
+    fleet_is.ended("d", failed=False)
+    assert fleet_is.words() == "diagnosing: sets: 4 of 4" and fleet_is.left() is None
+
+
+def test_what_a_set_says_is_passed_on(tmp_path, monkeypatch):
+    script = tmp_path / "says"
+    script.write_text("#!/bin/sh\necho lost\necho one >&2\necho 'bin/diagnose: two' >&2\nexit 2\n")
+    script.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(script))
+    heard: list[str] = []
+    said = fleet_process.diagnose_set("in", str(tmp_path / "out"), (), str(tmp_path), heard.append)
+    assert said == "two" and heard == ["", "one\n", "bin/diagnose: two\n"]
 
 
 def test_cameras_are_ranked_by_what_their_simulator_lacks(here):
@@ -216,7 +252,7 @@ def test_damaged_and_missing_files_of_a_report_are_made_again(sets, own, tmp_pat
     else:
         (own / "rows" / name).unlink()
 
-    def again(recordings, out, flags, here):
+    def again(recordings, out, flags, here, heard):
         tried.append((recordings, "--force" in flags))
         (own / "rows" / name).write_bytes(made)
 

@@ -98,6 +98,19 @@ def test_a_command_that_is_silent_speaks_and_leaves_the_screen_clean(terminal):
     assert text.decode().replace("\r\n", "\n").endswith(f"{CLEAR if terminal else chr(10)}said\n")
 
 
+def test_what_a_command_is_at_is_said_where_nothing_else_is(monkeypatch):
+    monkeypatch.setattr(pulses, "QUIET_S", 0.3)
+    screen = Screen(False)
+    pulse = Pulse("x")
+    with pulses.beating(pulse, Stream(screen, pulse)):
+        pulses.now_at("loading")
+        with pulse.doing(lambda: "counting"):
+            time.sleep(0.8)
+        time.sleep(0.8)
+    said = [line.split("] ")[1] for line in screen.getvalue().splitlines()]
+    assert said[0] == "counting" and said[-1] == "loading" and set(said) == {"counting", "loading"}
+
+
 def test_one_command_inside_another_beats_once(monkeypatch):
     monkeypatch.setattr(pulses, "QUIET_S", 0.3)
     screen = Screen(False)
@@ -108,6 +121,21 @@ def test_one_command_inside_another_beats_once(monkeypatch):
     said = screen.getvalue().splitlines()
     assert said and all(line.endswith("bin/outer is at work") for line in said)
     assert pulses.current() is not outer
+
+
+@pytest.mark.parametrize("closed", ["", "2>/dev/full", "2>&-"])
+def test_a_refusal_that_nobody_hears_has_its_status(closed, tmp_path):
+    if not os.path.exists("/dev/full"):
+        pytest.skip("no /dev/full")
+    run = (
+        sys.executable,
+        "-m",
+        "cannoise_jax.commands.start",
+        "convert",
+        tmp_path / "none",
+        tmp_path / "out",
+    )
+    assert subprocess.run(["sh", "-c", f"{' '.join(map(str, run))} {closed}"], timeout=60).returncode == 2
 
 
 @pytest.mark.parametrize("closed", [">/dev/full", ">&-", "2>/dev/full", "2>&-"])

@@ -47,6 +47,19 @@ def test_a_flat_is_a_recording_with_its_truth(sensor, tmp_path, capsys):
     assert frames.var() == pytest.approx(variance, rel=0.1)
 
 
+def test_a_setting_whose_noise_no_camera_has_is_refused_by_its_flag(sensor, tmp_path, capsys):
+    """And not by a field of the file that would be written."""
+    out = tmp_path / "out"
+    common = ["--sensor", sensor, "--clean", "dark", "--size", "16x16", "--out", str(out)]
+    for flags in (["--iso", "1234567"], ["--gain", "90"]):
+        assert main([*common, *flags]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.startswith(
+            f"bin/simulate: {' '.join(flags)}: the noise of bench camera would there be wider"
+        )
+        assert "ISO 100 to 400" in line and not out.exists()
+
+
 def test_a_folder_gives_one_recording_per_picture_and_seeds_repeat(sensor, tmp_path):
     from skimage.io import imsave
 

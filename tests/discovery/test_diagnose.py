@@ -243,8 +243,10 @@ def test_bad_requests_say_what_is_wrong():
     capture = capture_set(0, kinds="d")
     with pytest.raises(BadInput, match="no such simulator"):
         run(capture, simulator="nonsense")
-    with pytest.raises(ValueError, match="no such mechanism"):
-        run(capture, without=("nonsense",))
+    with pytest.raises(ValueError, match="no such mechanism: known: "):
+        run(capture, without=("zzzzz",))
+    with pytest.raises(ValueError, match=r"prn: no such mechanism: did you mean prnu\?$"):
+        run(capture, without=("prn",))
     with pytest.raises(ValueError, match="alpha"):
         run(capture, alpha=2.0)
     with pytest.raises(BadInput, match="30x64 pixels: give 32x32 or more"):

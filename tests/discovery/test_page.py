@@ -8,8 +8,9 @@ from unittest.mock import MagicMock
 
 import pytest
 
+from cannoise_jax.discovery.compare.words import digits, ends
 from cannoise_jax.discovery.proof.prove import Proof
-from cannoise_jax.discovery.report.page import number, place, verdict
+from cannoise_jax.discovery.report.page import number, place, sites, verdict
 from cannoise_jax.discovery.report.wording import sentence
 from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.signatures.codes import combed
@@ -30,6 +31,24 @@ def test_codes_that_are_only_rarer_are_not_said_never_to_occur():
     said = sentence(entry, step, Proof(None, None, math.nan, math.nan, 0), VOCABULARY["missing_codes"])
     assert "Every 2 codes one is rarer" in said and "holds 0.98" in said and "(90 %: 0.96 to 0.99)" in said
     assert "never" not in said
+
+
+@pytest.mark.parametrize(
+    ("value", "count", "said"),
+    [
+        (1374.0, 3, "1,370"), (99_900.0, 3, "99,900"), (999.7, 3, "1,000"), (-1374.0, 2, "-1,400"),
+        (29_114.0, 4, "29,110"), (4.94e6, 3, "4.94e+06"), (0.00316, 3, "0.00316"),
+        (14.25, 3, "14.2"), (0.0, 3, "0"),
+    ],
+)  # fmt: skip
+def test_numbers_have_an_exponent_only_where_they_would_be_long(value, count, said):
+    assert digits(value, count) == said
+    assert digits(abs(value), count, "+") == f"+{said.removeprefix('-')}"
+
+
+def test_levels_keep_all_their_digits():
+    assert sites([1374.0] * 4) == "1,374" and sites([0.8, 1374.2, 65535.0, 0.8]) == "0.8, 1,374, 65,535, 0.8"
+    assert number(9999.7) == "10,000" and ends(29_110.0, 29_114.0) == ("29,110", "29,114")
 
 
 def finding(mechanism, value, spread, outcome="FOUND", **more):

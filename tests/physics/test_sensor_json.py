@@ -116,6 +116,12 @@ def rename_map(entry, name):
     entry["maps"] = {name: next(iter(entry["maps"].values()))}
 
 
+@pytest.mark.parametrize("nothing", [3, None])
+def test_what_is_no_name_of_a_file_is_refused_in_one_line(nothing):
+    with pytest.raises(BadInput, match="give the name of a sensor.json"):
+        SensorModel.load(nothing)
+
+
 def test_a_file_of_something_else_is_not_replaced(tmp_path):
     path = tmp_path / "dark.json"
     path.write_text('{"cfa": "RGGB", "exposure_s": 1.0}')

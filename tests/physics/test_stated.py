@@ -21,7 +21,7 @@ def recorded(kind, stated, seconds=None, lamp=0.0, cfa="RGGB", true=None, count=
     """Frames of an exposure of `seconds`, of which `stated` is said. lamp: electrons a second."""
     seconds = stated if seconds is None else seconds
     rng = np.random.default_rng([round(1000 * stated), round(lamp), kind == "dark"])
-    colours = np.reshape([RESPONSE.get(c, 1.0) for c in (true or cfa)], (2, 2))
+    colours = np.reshape([RESPONSE.get(c, 1.0) for c in (true or cfa).replace("MONO", "GGGG")], (2, 2))
     light = lamp * np.tile(colours, (SIZE[0] // 2, SIZE[1] // 2))
     charge = rng.poisson((light + RATE) * seconds, (count, *SIZE)) + 3 * rng.standard_normal((count, *SIZE))
     frames = np.rint(BLACK + GAIN * charge).clip(0, 16383).astype(np.uint16)
@@ -44,6 +44,14 @@ def series(**changes):
     darks = [recorded("dark", s, changes.get("took", {}).get(s)) for s in (0.001, 1.0, 2.0, 10.0)]
     flats = [recorded("flat", s, lamp=lamp) for s, lamp in changes.get("flats", ((1.0, 3000), (2.0, 3000)))]
     return [*darks, *flats]
+
+
+@pytest.mark.parametrize("true", ["RGGB", "GBRG", "MONO"])
+def test_a_mosaic_that_is_said_to_be_mono_is_said(true):
+    dark, flat = recorded("dark", 0.1, cfa="MONO"), recorded("flat", 1.0, lamp=400, cfa="MONO", true=true)
+    said = faults([dark, flat]).colours
+    assert said.startswith("flat_1s.h5: MONO is stated, and the flats show a mosaic") == (true != "MONO")
+    assert said or true == "MONO"
 
 
 def test_nothing_is_said_of_what_agrees():

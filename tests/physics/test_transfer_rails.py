@@ -1,5 +1,7 @@
 """Recordings on which numbers would be wrong: cut off, mistaken for others, at odds with what is stated."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -59,6 +61,16 @@ def test_flats_near_their_end_show_no_prnu_and_dimmer_ones_do():
         assert isinstance(outcome, NotMeasurable) and "dimmer" in outcome.record
     outcome, _ = prnu_of(partly, recording("flat", 1000.0), dark)
     assert isinstance(outcome, Estimate) and outcome.value == pytest.approx(100 * PRNU, rel=0.1)
+
+
+def test_flats_of_two_lights_with_one_hot_pixel_near_the_end_tell_the_gain():
+    """Rows are scaled to one light, which charge that the light did not bring is not."""
+    frames = np.concatenate([recording("flat", e, count=3, seed=2).frames for e in (2000.0, 700.0)])
+    frames[:, 40, 60] = np.clip(frames[:, 40, 60].astype(int) + 2400, 0, 4000)
+    flat = dataclasses.replace(recording("flat", 2000.0), frames=frames)
+    (transfer,) = photon_transfer(CaptureSet("c", (flat, recording("dark"))))
+    (gain,) = of_all_pixels(transfer).outcomes("system gain")
+    assert isinstance(gain, Estimate) and gain.value == pytest.approx(GAIN, rel=0.04)
 
 
 def test_darks_cut_off_at_zero_are_refused_and_dead_columns_are_not():

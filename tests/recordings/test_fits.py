@@ -101,6 +101,12 @@ def test_what_is_no_raw_frame_is_refused_in_one_line(tmp_path, message):
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)
 
 
+def test_an_order_that_is_stated_does_not_make_other_colours_of_a_header(tmp_path):
+    path = write(tmp_path / "a.fits", FRAMES, BAYERPAT="GGRGGB")
+    with pytest.raises(BadInput, match="X-Trans mosaic"):
+        load_recording(path, **LEVELS | {"cfa": "RGGB"})
+
+
 @pytest.mark.parametrize(
     "keywords, known",
     [

@@ -120,7 +120,7 @@ def test_a_monochrome_sensor_may_have_odd_sizes(path):
 
 BAD = {
     "no dataset 'frames'": {"frames": None},
-    "cfa is missing: set it with --cfa": {"cfa": None},
+    r"cfa is missing: set it with --cfa \(cfa= in Python\)": {"cfa": None},
     "black_level is missing: set it with --black-level": {"black_level": None},
     "white_level is missing: set it with --white-level": {"white_level": None},
     "cfa and white_level are missing: set them with --cfa and --white-level": {

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax.recordings.one_level import odd_levels
+from cannoise_jax.recordings.plausible import warn_of_lights
 from cannoise_jax.recordings.recording import CaptureSet, Recording
 from cannoise_jax.recordings.usable import usable
 
@@ -68,5 +69,23 @@ def test_it_is_said_in_one_line_with_its_file():
     assert [r.count for r in kept.recordings] == [5, 5]
     assert "flat_3.fits" not in " ".join(kept.recordings[0].sources)
     assert re.match(r"flat.h5: frame 4 \(flat_3.fits\): 20\d % of the light of the others, which", lines[0])
-    assert re.match(r"dark.h5: frame 6: \+\S+ DN from the others, which agree to .* DN: light", lines[1])
+    said = (
+        r"dark.h5: frame 6: \+\S+ DN from the others, which agree to .* DN: another exposure, or light: left"
+    )
+    assert re.match(said, lines[1])
     assert all(line.endswith(": left out") and "\n" not in line for line in lines)
+
+
+def test_every_level_is_said_and_no_frame_twice(caplog):
+    """Frames that are left out one by one are no recording of several lights."""
+    flats = recording("flat", [1000] * 6 + [400, 700])
+    warn_of_lights(flats)
+    (line,) = usable(CaptureSet("c", (flats,)))[1]
+    assert re.match(r"flat.h5: frames 7 to 8: (39|40)\S* and (69|70)\S* % of the light of the others", line)
+    assert not caplog.text
+    warn_of_lights(recording("flat", [1000] * 5 + [400] * 3))
+    assert "make a recording of each light" in caplog.text
+    (line,) = usable(
+        CaptureSet("c", (recording("dark", [0.0] * 24 + [20.0, 30.0, 40.0, 50.0, 60.0, 70.0]),))
+    )[1]
+    assert re.search(r"frames 25 to 30: \+(19|20)\S* to \+(69|70)\S* DN from the others", line)

@@ -94,7 +94,7 @@ def structure(compared: Compared, j: Judgement, found: np.ndarray, time: str) ->
         if time == words.STATIC:
             recorded, simulated = _beyond(recorded, scale), _beyond(simulated, scale)
         sign = 1 if level > 1 else -1
-        note = f"{100 * (np.sqrt(level) - 1):+.2g} %" if time != words.STATIC else ""
+        note = f"{words.digits(100 * (float(np.sqrt(level)) - 1), 2, '+')} %" if time != words.STATIC else ""
         out.append(
             Piece((what, time), sign, recorded, simulated, "DN rms", j.where, nats, float(j.z[best]), note)
         )

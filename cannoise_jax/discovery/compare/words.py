@@ -19,9 +19,15 @@ _MOST_DIGITS = 6
 
 def short(value: float) -> str:
     """Three digits; an exponent only where the number would be long."""
-    if 1000 <= abs(value) < _PLAIN:
-        return f"{float(f'{value:.3g}'):,.0f}"
-    return f"{value:.3g}"
+    return digits(value, 3)
+
+
+def digits(value: float, count: int, sign: str = "") -> str:
+    """So many digits; an exponent only where the number would be long. sign: '+' says that of all numbers."""
+    rounded = float(f"{value:.{count}g}")
+    if 10**count <= abs(rounded) < _PLAIN:
+        return f"{rounded:{sign},.0f}"
+    return f"{value:{sign},.{count}g}"
 
 
 def pair(first: float, second: float) -> tuple[str, str]:
@@ -43,10 +49,10 @@ def is_wide(low: float | None, high: float | None) -> bool:
 
 
 def _told_apart(said: list[str], values: tuple[float, float]) -> tuple[str, str]:
-    digits = 4
-    while said[0] == said[1] and digits <= _MOST_DIGITS:
-        said = [f"{v:,.{digits}g}" for v in values]
-        digits += 1
+    count = 4
+    while said[0] == said[1] and count <= _MOST_DIGITS:
+        said = [digits(v, count) for v in values]
+        count += 1
     return (said[0], said[1]) if said[0] != said[1] else (short(values[0]), short(values[1]))
 
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from cannoise_jax.discovery.compare.words import digits, short
 from cannoise_jax.discovery.frames.threads import each
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import Doubt
@@ -200,7 +201,8 @@ def lines(card: dict[str, Any]) -> list[tuple[str, str]]:
     for setting, told in card["dependence"].items():
         if told is not None:
             points = "; ".join(
-                f"{p['amplitude']:.3g} ± {p['error']:.2g} at {p['x']:.4g}" for p in told["points"]
+                f"{short(p['amplitude'])} ± {digits(p['error'], 2)} at {digits(p['x'], 4)}"
+                for p in told["points"]
             )
             out.append((f"By {setting}", f"{points}; follows power {told['power']:g} of it best"))
     for axis in ("row", "column"):
@@ -209,7 +211,7 @@ def lines(card: dict[str, Any]) -> list[tuple[str, str]]:
             out.append(
                 (
                     f"Means of {axis}s",
-                    f"1/f to the {told['exponent']:.2g}; most power, {told['peak_power']:.3g}, at "
+                    f"1/f to the {told['exponent']:.2g}; most power, {short(told['peak_power'])}, at "
                     f"{told['peak_frequency']:.3g} cycles per pixel",
                 )
             )
@@ -218,7 +220,7 @@ def lines(card: dict[str, Any]) -> list[tuple[str, str]]:
     out.append(("Correlation with neighbours", told or "none beyond four standard errors"))
     if card["excess_kurtosis"] is not None:
         k = card["excess_kurtosis"]
-        out.append(("Excess kurtosis of pixels", f"{k['value']:.3g} ± {k['error']:.2g}"))
+        out.append(("Excess kurtosis of pixels", f"{short(k['value'])} ± {digits(k['error'], 2)}"))
     name = card["nearest"].replace("_", " ") if card["nearest"] else "none"
     out.append(("Nearest named mechanism", f"{name}: {card['why_rejected']}"))
     return out

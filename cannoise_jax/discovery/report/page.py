@@ -11,7 +11,7 @@ from typing import Any
 import jinja2
 
 from cannoise_jax.discovery.compare.report import percent
-from cannoise_jax.discovery.compare.words import ends, is_wide, pair, short
+from cannoise_jax.discovery.compare.words import digits, ends, is_wide, pair, short
 from cannoise_jax.discovery.proof.verdict import EXPLAINED, MATCH, NO_CAUSE, NOT_TESTABLE
 from cannoise_jax.discovery.report.card import lines as card_lines
 from cannoise_jax.discovery.report.document import listed_steps
@@ -48,7 +48,7 @@ def number(value: Any) -> str:
         return value
     if isinstance(value, int) or 1e4 <= abs(value) < 1e9:
         return f"{value:,.0f}"
-    return f"{value:.4g}" if abs(value) < 1e5 else f"{value:.3e}"
+    return digits(value, 4) if abs(value) < 1e5 else f"{value:.3e}"
 
 
 def precise(value: Any) -> str:
@@ -90,7 +90,7 @@ def _listed(value: Any) -> str:
     if isinstance(value, list):
         parts = [f"({', '.join(map(_listed, v))})" if isinstance(v, list) else _listed(v) for v in value[:8]]
         return ", ".join([*parts, "…"] if len(value) > 8 else parts)
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    return digits(value, 4) if isinstance(value, float) else str(value)
 
 
 def verdict(report: dict[str, Any]) -> str:
@@ -150,7 +150,7 @@ def sizes(difference: dict[str, Any]) -> tuple[str, str]:
 
 def sites(values: list[float]) -> str:
     """A number of every mosaic site, once where all are alike."""
-    said = [f"{v:.3g}" for v in values]
+    said = [f"{v:,.0f}" if 1000 <= abs(v) < 1e5 else short(v) for v in values]
     return said[0] if len(set(said)) == 1 else ", ".join(said)
 
 

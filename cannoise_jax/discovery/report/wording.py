@@ -85,7 +85,7 @@ def sentence(entry: dict[str, Any], step: Step, proof: Proof, term: Term) -> str
     count = entry.get("where", {}).get("rows_together")
     start += f", shared by {count} rows that are read together" if count else ""
     moved = entry.get("parameters", {}).get("frame_offset")
-    slow = f", and slower than a frame, whose mean moves by {moved['value']:.3g} DN" if moved else ""
+    slow = f", and slower than a frame, whose mean moves by {short(moved['value'])} DN" if moved else ""
     within = f" (90 %: {amount((low, high), unit, meaning)})" if is_wide(low, high) else ""
     return f"{start}{within}{slow}{_proven(step, proof)}"
 

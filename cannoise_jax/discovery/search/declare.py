@@ -4,6 +4,7 @@ what to record."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from difflib import get_close_matches
 
 from cannoise_jax.discovery.search.locate import Located
 from cannoise_jax.mechanisms import LISTED
@@ -34,7 +35,11 @@ def registered(
     wanted = None if mechanisms is None else {m if isinstance(m, str) else m.id for m in mechanisms}
     for id in (*without, *(wanted or ())):
         if id not in known:
-            raise ValueError(f"{id}: no such mechanism; known: {', '.join(known)}")
+            near = get_close_matches(id, known, n=1)
+            raise ValueError(
+                f"{id}: no such mechanism: "
+                + (f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}")
+            )
     return tuple(e for id, e in known.items() if id not in without and (wanted is None or id in wanted))
 
 

@@ -197,6 +197,8 @@ def read_model(
     baseline: Callable[..., SensorModel], path: str | Path, mechanisms: Sequence[HasRecord]
 ) -> SensorModel:
     """What `SensorModel.load` returns. baseline: see `model_of`."""
+    if not isinstance(path, str | Path):
+        raise BadInput(f"path is of type {type(path).__name__}: give the name of a sensor.json")
     path = Path(path)
     if path.exists():
         check_plain(path, "name a sensor.json")

@@ -10,7 +10,7 @@ import numpy as np
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.black import black_level
 from cannoise_jax.physics.transfer.frames import FrameStatistics
-from cannoise_jax.recordings.folders.sites import greens_apart
+from cannoise_jax.recordings.folders.sites import other_colours
 from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import DARK, PerChannel, per_channel
 
@@ -37,7 +37,7 @@ def colours_line(statistics: Sequence[FrameStatistics]) -> str:
         return ""
     brightest = max(flats, key=lambda s: min(_light(s, black)))
     light = _light(brightest, black)
-    said = greens_apart(light, brightest.recording.cfa) if min(light) > 0 else None
+    said = other_colours(light, brightest.recording.cfa) if min(light) > 0 else None
     return f"{_name(brightest)}: {said}" if said else ""
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from cannoise_jax.recordings.folders.groups import Group
 from cannoise_jax.recordings.folders.kinds import LIT_DN
 from cannoise_jax.recordings.folders.lights import level_of
@@ -31,15 +33,18 @@ def _flats_and_darks(groups: Sequence[Group]) -> tuple[list[Shot], list[Shot]]:
 
 
 def _dim(groups: Sequence[Group]) -> list[str]:
-    """Flats no brighter than the brightest dark of their own gain setting: others have another black level
-    and other dark charge."""
+    """Flats no brighter than the darks of their own gain setting: others have another black level and other
+    dark charge. One dark among its like that light reached says nothing of the flats."""
     by_gain: dict[tuple, list[Group]] = {}
     for g in groups:
         by_gain.setdefault((g.settings["iso"], g.settings["gain_db"]), []).append(g)
     out = []
     for own in by_gain.values():
-        flats, darks = _flats_and_darks(own)
-        floor = max((max(s.medians) for s in darks), default=-1.0)
+        flats, _ = _flats_and_darks(own)
+        darks = [[s for s in g.shots if not s.whole] for g in own if g.kind in DARK]
+        floor = max(
+            (float(np.median([max(s.medians) for s in shots])) for shots in darks if shots), default=-1.0
+        )
         out += [s.name for s in flats if max(s.medians) <= floor]
     return out
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from cannoise_jax.recordings.folders.groups import Group, seconds
 from cannoise_jax.recordings.folders.lights import level_of
-from cannoise_jax.recordings.folders.sites import Sites, greens_apart, light_of, shows_colours
+from cannoise_jax.recordings.folders.sites import Sites, light_of, other_colours, shows_colours
 from cannoise_jax.recordings.recording import DARK, PerChannel, per_channel
 
 _DEPTHS = (255, 1023, 4095, 16383, 65535)
@@ -45,7 +45,7 @@ def levels(groups: Sequence[Group], overrides: dict[str, Any]) -> Levels:
         values[name] = value
         said += [words] if words else []
     cfa, light = {**values, **overrides}.get("cfa"), _light(loose)
-    if cfa is not None and light is not None and (wrong := greens_apart(light.levels, cfa)):
+    if cfa is not None and light is not None and (wrong := other_colours(light.levels, cfa)):
         said.append(wrong)
     black, white = ({**values, **overrides}.get(n) for n in ("black_level", "white_level"))
     if overrides.get("black_level") is not None and min(per_channel(overrides["black_level"])) < 0:

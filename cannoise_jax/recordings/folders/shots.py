@@ -22,6 +22,7 @@ from cannoise_jax.recordings.native import SUFFIXES as NATIVE
 from cannoise_jax.recordings.opened import Opened, stated
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import BadInput, PerChannel, per_channel
+from cannoise_jax.recordings.stated_values import check_sites
 from cannoise_jax.recordings.usable import fault_of, is_full
 
 _SAMPLE = 1 << 20
@@ -218,6 +219,7 @@ def _shot(path: Path, name: str, given: frozenset[str], counters: frozenset[str]
     shape = tuple(opened.frames.shape)
     if len(shape) != 3 or 0 in shape:
         raise BadInput(f"{path}: has shape {shape}: expected one mosaic or a stack of them")
+    check_sites(path, known.get("cfa"))
     known = _sound(path, opened, {n: v for n, v in known.items() if n not in given})
     named = named_settings(Path(name), counters)
     doubts = [words for field, words in named.doubts.items() if field not in known and field not in about]

@@ -18,6 +18,9 @@ _ENDS = 0.05
 """Share of the cells at either end that no level is made of: hot pixels and dust are there."""
 _GREENS_APART, _GREENS_ALIKE = 0.2, 0.05
 """Greens of one sensor differ by some per cent at most. Those of a wrong order are red and blue."""
+_DIAGONAL = 0.25
+"""Of what the sites of a mosaic differ by, that which its greens do at most: rows or columns that are read
+out with a gain of their own part the sites on both diagonals."""
 
 
 class Sites(NamedTuple):
@@ -60,7 +63,26 @@ def shows_colours(light: Sites) -> bool:
     return apart > max(_COLOURED * abs(float(np.mean(light.levels))), _SURE * light.error)
 
 
-def greens_apart(light: PerChannel, cfa: str) -> str | None:
+def other_colours(light: PerChannel, cfa: str) -> str | None:
+    """That flats contradict the stated colour order; None where nothing speaks against it."""
+    return _colours_of_mono(light) if cfa == "MONO" else _greens_apart(light, cfa)
+
+
+def _colours_of_mono(light: PerChannel) -> str | None:
+    """That the sites of what is said to be without colours are those of a mosaic: two across are alike, and
+    others are not."""
+    apart = float(np.ptp(light))
+    greens = min(abs(light[0] - light[3]), abs(light[1] - light[2]))
+    if apart <= _GREENS_ALIKE * max(light) or greens > _DIAGONAL * apart:
+        return None
+    sites = ", ".join(f"{v:.4g}" for v in light)
+    return (
+        f"MONO is stated, and the flats show a mosaic (its four sites: {sites} DN): check the colour order, "
+        "--cfa states another"
+    )
+
+
+def _greens_apart(light: PerChannel, cfa: str) -> str | None:
     """That the greens of a stated order are none: they differ grossly, and the other two sites do not."""
     if cfa not in CFA_PATTERNS or (greens := green_sites(cfa)) is None:
         return None

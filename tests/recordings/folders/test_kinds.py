@@ -90,10 +90,12 @@ def test_dark_flats_are_darks(tmp_path):
 
 def test_darks_that_were_lit_and_biases_that_were_exposed_are_named(tmp_path):
     night(tmp_path)
-    shot(tmp_path / "dark_9.fits", "flat", IMAGETYP="Dark Frame", INSTRUME="Acme 100", EXPTIME=60.0)
+    more = {"IMAGETYP": "Dark Frame", "INSTRUME": "Acme 100", "EXPTIME": 60.0}
+    shot(tmp_path / "dark_9.fits", "flat", electrons=9000.0, **more)
     shot(tmp_path / "bias_9.fits", "bias", IMAGETYP="Bias Frame", INSTRUME="Acme 100", EXPTIME=300.0)
     problems = "\n".join(plan_folder(tmp_path).problems)
     assert "dark_9.fits: dark of" in problems and "lit?" in problems
+    assert "no brighter" not in notes(plan_folder(tmp_path))  # than it alone
     assert "bias_9.fits: a bias of 300 s beside others" in problems
     stated = plan_folder(tmp_path, assign=[("dark_9*", "flat"), ("bias_9*", "bias")])
     assert not stated.problems

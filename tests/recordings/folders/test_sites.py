@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax.recordings.folders.plan import plan_folder
-from cannoise_jax.recordings.folders.sites import greens_apart, site_levels
+from cannoise_jax.recordings.folders.sites import other_colours, site_levels
 
 from .night import notes, shot
 
@@ -64,5 +64,21 @@ def test_an_order_whose_greens_are_red_and_blue_is_said(tmp_path):
         plan = folder_of(tmp_path / cfa, colours, BAYERPAT=cfa)
         assert ("the two greens of GBRG differ by" in notes(plan)) == said and not plan.problems
     assert "differ by" in notes(plan_folder(tmp_path / "RGGB", {"cfa": "GRBG"}))
-    assert greens_apart(np.array([1200.0, 3000, 2000, 900]), "GBRG") is None  # no order has equal greens
-    assert greens_apart(np.array([1200.0, 3000, 3000, 900]), "MONO") is None
+    assert other_colours(np.array([1200.0, 3000, 2000, 900]), "GBRG") is None  # no order has equal greens
+
+
+@pytest.mark.parametrize(
+    ("light", "coloured"),
+    [
+        ([1200.0, 3000, 2990, 900], True),
+        ([3000.0, 1200, 2400, 2950], True),
+        ([1000.0, 1030, 1030, 1010], False),  # a pattern of the camera's own
+        ([1000.0, 1100, 1000, 1100], False),  # columns with gains of their own
+        ([1000.0, 1000, 1200, 1200], False),
+        ([1000.0, 1100, 1210, 1320], False),
+        ([0.0, 0, 0, 0], False),
+    ],
+)
+def test_a_mosaic_that_is_said_to_be_without_colours_is_told(light, coloured):
+    said = other_colours(np.array(light), "MONO")
+    assert ("the flats show a mosaic" in said) if coloured else said is None
