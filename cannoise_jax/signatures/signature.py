@@ -49,6 +49,12 @@ class Axes:
             return False
         return over.within_rows and not (over.whole and self.time == "redrawn")
 
+    @property
+    def white_lines(self) -> bool:
+        """Whether it is noise of whole rows or columns, each by itself and anew in every frame."""
+        lines = self.varies_over in ("row", "column")
+        return lines and (self.time, self.scales, self.law) == ("redrawn", "additive", "white")
+
 
 CONTRASTS = frozenset({"contrasts", "usable", "sigma"})
 """What a statistic of differences between frames reads of a field."""

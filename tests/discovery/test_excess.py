@@ -39,6 +39,25 @@ def test_what_the_recordings_lack_is_named(drawn, name):
     assert names(None, drawn) == [name]
 
 
+def slow_rows(sigma):
+    """Row noise that neighbours share, as that of a falling spectrum."""
+
+    def law(rng):
+        def drawn(dn, *_):
+            steps = rng.standard_normal((dn[..., 0].size // dn.shape[-2], dn.shape[-2] + 40))
+            shared = np.stack([np.convolve(s, np.exp(-np.arange(41) / 8), "valid") for s in steps])
+            return dn + sigma * (shared / shared.std()).reshape(*dn.shape[:-1], 1)
+
+        return drawn
+
+    return law
+
+
+def test_rows_that_neighbours_share_are_no_noise_of_single_rows():
+    assert names(slow_rows(2.0), rows(2.0)) == ["row_noise"]
+    assert not names(slow_rows(2.0), slow_rows(2.0))
+
+
 @pytest.mark.parametrize("law", [rows, fixed])
 def test_less_is_named_and_as_much_or_more_is_not(law):
     assert names(law(1.0), law(2.0)) and not names(law(2.0), law(2.0)) and not names(law(2.0), law(1.0))

@@ -10,7 +10,10 @@ import numpy as np
 from cannoise_jax.discovery.frames.battery import Prepared
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN
+from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.handed import Many
 from cannoise_jax.signatures.score import Score
+from cannoise_jax.signatures.signature import Signature
 
 _SURE = 4.0
 """Standard errors of the difference: of ten mechanisms one is said to be too strong once in 3,000 runs."""
@@ -72,10 +75,38 @@ def excess(own: tuple[Step, ...], recorded: Prepared) -> tuple[Excess, ...]:
             here = (max(there[0] + more, 0.0), error)
         else:
             here = (0.0, 0.0) if score is None else _strength(signature.quoted(score, named.mechanism))
+            if signature.axes.white_lines:
+                here = min(here, _of_single_lines(signature, recorded.fields))
         sigmas = (there[0] - here[0]) / max(float(np.hypot(there[1], here[1])), 1e-30)
         if sigmas > _SURE and here[0] < (_LESS_OF_FEW if rare else _LESS) * there[0]:
             out.append((sigmas, Excess(named.mechanism, there[0], here[0], there[1], here[1])))
     return tuple(e for _, e in sorted(out, key=lambda pair: -pair[0]))
+
+
+def _of_single_lines(signature: Signature, fields: Many) -> tuple[float, float]:
+    """Strength and error of white noise of lines by what neighbouring lines differ by: 1/f noise of rows,
+    which neighbours share, looks like it in all rows together."""
+    axis = 0 if signature.axes.varies_over == "row" else 1
+    score = signature.score(tuple(_between_lines(f, axis) for f in fields))
+    return (0.0, 0.0) if score is None else _strength(signature.quoted(score, ""))
+
+
+def _between_lines(field: Fields, axis: int) -> Fields:
+    """The field with what every line has beyond the next in its contrasts, of as much noise, and nothing that
+    stays."""
+    count = field.mean.shape[axis] - 1
+
+    def cut(values: np.ndarray, start: int = 0) -> np.ndarray:
+        return np.take(values, np.arange(start, start + count), axis - 2)
+
+    apart = (cut(field.contrasts) - cut(field.contrasts, 1)) / np.float32(np.sqrt(2))
+    usable = cut(field.usable) & cut(field.usable, 1)
+    clean = None if field.clean is None else cut(field.clean)
+    mean, signal, sigma, shot = map(cut, (field.mean, field.signal, field.sigma, field.shot))
+    return field._replace(
+        mean=mean, signal=signal, sigma=sigma, shot=shot, usable=usable, contrasts=apart * usable,
+        static=None, clean=clean,
+    )  # fmt: skip
 
 
 def _at_its_places(step: Step, recorded: Prepared) -> tuple[float, float] | None:

@@ -260,23 +260,17 @@ def others_out(steps: tuple[Step, ...], fields: tuple[Fields, ...]) -> Callable[
             return out
         found = steps[n].named
         frame = found.signature.axes.varies_over == "frame"
-        if frame and any(map(_of_lines, steps[:n])):
-            out = without_all((s for s in steps[:n] if not _of_lines(s)), start)
+        # Next to nothing of white noise of lines is in the mean of a frame.
+        others = [s for s in steps[:n] if not s.named.signature.axes.white_lines]
+        if frame and len(others) < n:
+            out = without_all(others, start)
         if len(steps) <= MOST_JOINT and not found.signature.before(found.score):
             holds_it = found.signature.found_in
             after = (s for s in steps[n + 1 :] if s.named.signature.name not in holds_it)
-            out = without_all((s for s in after if not (frame and _of_lines(s))), out)
+            out = without_all((s for s in after if not (frame and s.named.signature.axes.white_lines)), out)
         return out
 
     return without
-
-
-def _of_lines(step: Step) -> bool:
-    """Whether a finding is white noise of whole rows or columns, of which next to nothing is in the mean of a
-    frame."""
-    axes = step.named.signature.axes
-    lines = axes.varies_over in ("row", "column")
-    return lines and (axes.time, axes.scales, axes.law) == ("redrawn", "additive", "white")
 
 
 def _score_of(signature: Signature, n: int, split: Callable[[int], tuple[Fields, ...]]) -> Score | None:
