@@ -1,10 +1,11 @@
-"""bin/bench simulate|coverage|train|speed|accelerator|profile|docs: speeds, exactness, published results.
+"""bin/bench simulate|coverage|train|speed|diagnose|accelerator|profile|docs: speeds, exactness, results.
 
 simulate     megapixels per second of SensorModel.sample beside getframes on the effects that both have.
 coverage     how often the 90 % intervals of every mechanism's estimator hold the truth.
 train        patches per second of the training step on random patches.
 speed        seconds and memory of training steps and of sampling, alone or by turns with PyTorch.
-accelerator  the same at the paper's width and batch, on a GPU.
+diagnose     seconds and memory of a diagnosis, of simulated recordings and of folders.
+accelerator  training and sampling at the paper's width and batch, on a GPU.
 profile      what the time of these training steps goes to.
 docs         renders README.md and docs/ from docs/results, and takes in what commands wrote.
 """
@@ -16,6 +17,7 @@ import sys
 from functools import partial
 
 from cannoise_jax.commands.bench_accelerator import add_accelerator
+from cannoise_jax.commands.bench_diagnose import add_diagnose
 from cannoise_jax.commands.bench_docs import add_docs
 from cannoise_jax.commands.bench_profile import add_profile
 from cannoise_jax.commands.bench_speed import add_speed
@@ -50,7 +52,7 @@ def _run(name: str, arguments: argparse.Namespace) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = OneLineParser(prog="bin/bench", description=__doc__.split("\n\n")[0])
     commands = parser.add_subparsers(
-        required=True, metavar="simulate|coverage|train|speed|accelerator|profile|docs"
+        required=True, metavar="simulate|coverage|train|speed|diagnose|accelerator|profile|docs"
     )
     simulate = commands.add_parser("simulate", help="speed of SensorModel.sample beside getframes")
     simulate.add_argument(
@@ -76,6 +78,7 @@ def _parser() -> argparse.ArgumentParser:
     train.add_argument("--steps", type=int, default=10, help="timed, after two that are not")
     train.set_defaults(run=partial(_run, "train"))
     add_speed(commands)
+    add_diagnose(commands)
     add_accelerator(commands)
     add_profile(commands)
     add_docs(commands)
