@@ -29,6 +29,7 @@ from cannoise_jax.recordings.raw_tags import (
     BLACK,
     BLACK_DELTAS,
     BLACK_REPEAT,
+    CFA_PATTERN,
     CFA_PLANE_COLOUR,
     EXPOSURE,
     ISO,
@@ -204,12 +205,21 @@ def _off_the_screen() -> Iterator[None]:
         os.close(nowhere)
 
 
+_COLOURS = {0: "red", 1: "green", 2: "blue", 3: "cyan", 4: "magenta", 5: "yellow", 6: "white"}
+"""Of CFAPattern (TIFF/EP, ISO 12234-2)."""
+
+
 def _check_directories(path: str | Path, directories: list[Directory]) -> None:
     """What LibRaw would take without complaint: strips cut short, and colour planes in another order."""
     size = Path(path).stat().st_size
     needed = max((d.end for d in directories), default=0)
     if needed > size:
         raise BadInput(f"{path}: truncated: {size} bytes of at least {needed}")
+    cells = tag_of(directories, CFA_PATTERN)
+    sites = list(cells) if isinstance(cells, (bytes, tuple, list)) else []
+    if any(code not in (0, 1, 2) for code in sites):
+        named = ", ".join(_COLOURS.get(code, str(code)) for code in dict.fromkeys(sites))
+        raise BadInput(f"{path}: mosaic of {named}: only Bayer mosaics of red, green and blue are supported")
     planes = tag_of(directories, CFA_PLANE_COLOUR)
     listed = list(planes) if isinstance(planes, (bytes, tuple, list)) else [planes]
     if planes is not None and listed != [0, 1, 2]:

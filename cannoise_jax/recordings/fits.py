@@ -94,7 +94,7 @@ def open_fits(path: str | Path) -> Opened:
             whole_numbers(path, np.asarray(hdu.data))
     with reading_fits(path, "not a readable FITS header"):  # cards are parsed when they are looked at
         upside_down = str(header.get("ROWORDER", "")).strip().upper() == "BOTTOM-UP"
-        known, about = known_of(header), about_of(header)
+        known, about = known_of(header), about_of(header, shape[0])
         about["doubt"] = "; ".join(filter(None, (about["doubt"], _outside(header, shape), three))) or None
         kept, black = _sections(path, number, header, shape)
     if known["cfa"] is not None:

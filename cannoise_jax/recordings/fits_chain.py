@@ -52,6 +52,7 @@ def _walk(path: str | Path, file: IO[bytes]) -> None:
                 f"{path}: {_FAILURE}: SIMPLE is {cards['SIMPLE'][:20]!r}, not T: it says itself that it "
                 "follows no standard"
             )
+        _check_lossless(path, cards)
         size, begins = _data_bytes(path, cards), file.tell()
         if not size:
             continue
@@ -65,6 +66,20 @@ def _walk(path: str | Path, file: IO[bytes]) -> None:
         file.seek(begins + -(-size // _BLOCK) * _BLOCK)
     if file.read(1):
         raise BadInput(f"{path}: holds over {MOST_UNITS} images and tables: give one image a file")
+
+
+def _check_lossless(path: str | Path, cards: dict[str, str]) -> None:
+    """Raises BadInput for an image that was compressed with loss, by HCOMPRESS with a scale above one
+    (FITS standard 4.0, Sec. 10.4.4): its noise is no longer the sensor's."""
+    if "HCOMPRESS" not in cards.get("ZCMPTYPE", ""):
+        return
+    for name, value in cards.items():
+        scale = cards.get(f"ZVAL{name[5:]}", "") if name.startswith("ZNAME") and "SCALE" in value else ""
+        if re.fullmatch(r"[+-]?[0-9.]{1,18}(E[+-]?[0-9]{1,2})?", scale) and float(scale) > 1:
+            raise BadInput(
+                f"{path}: compressed with loss (HCOMPRESS, SCALE {float(scale):g}), which takes noise away: "
+                "give the frames as the camera wrote them"
+            )
 
 
 def _header(path: str | Path, file: IO[bytes], number: int) -> dict[str, str] | None:

@@ -73,17 +73,22 @@ def known_of(header: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def about_of(header: Mapping[str, Any]) -> dict[str, Any]:
-    """What a header states beside the fields of a recording, see `opened.Opened`."""
+def about_of(header: Mapping[str, Any], planes: int = 1) -> dict[str, Any]:
+    """What a header states beside the fields of a recording, see `opened.Opened`; planes: of the image, which
+    a header may count without meaning an average of as many."""
     camera = text_in(header, "INSTRUME", "CAMERA", "DETNAM") or None
     scaled = gain_db(header, camera) is not None or number_in(header, _ISO, 1) is not None
     gain = number_in(header, ("GAIN",), 0)
     if number_in(header, _EGAIN, 1e-6) is None and _egain(header, scaled) is not None:
         gain = None
-    frames = number_in(header, _COMBINED, 2)
+    frames = next(
+        (n for name in _COMBINED if (n := number_in(header, (name,), 2)) not in (None, planes)), None
+    )
     image_type = text_in(header, "IMAGETYP", "FRAME", "OBSTYPE")
     words = next((w for w in ("master", "stacked", "combined", "super") if w in image_type.lower()), None)
     binning = tuple(number_in(header, (f"{a}BINNING", f"CCD{a}BIN"), 1) or 1.0 for a in "XY")
+    if binning == (1, 1) and (summed := re.fullmatch(r"([1-9]\d?) +([1-9]\d?)", text_in(header, "CCDSUM"))):
+        binning = float(summed[1]), float(summed[2])
     origin = tuple(number_in(header, (f"{a}ORGSUBF",), 0) or 0.0 for a in "XY")
     name = text_in(header, "FILTER")
     return {

@@ -32,6 +32,8 @@ HEADERLESS = (
 """What files are that some programs call .raw, and what to do with them."""
 _NARROW = 8
 """Rows and columns of the least picture."""
+_WHOLE_FLOAT16 = 2048
+"""Up to which float16 holds every whole number."""
 _SPARE_FRAME, _SPARE_STACK = 64 << 20, 4 << 30
 """Bytes that a file may claim beyond what it can hold: HDF5 leaves out what is all zero."""
 
@@ -140,6 +142,11 @@ def whole_numbers(path: str | Path, values: np.ndarray) -> np.ndarray:
         raise BadInput(
             f"{path}: floating-point values that are no whole numbers ({values.dtype}): calibrated, averaged "
             "or rescaled: give the raw frames of the camera"
+        )
+    if values.dtype == np.float16 and values.size and values.max() > _WHOLE_FLOAT16:
+        raise BadInput(
+            f"{path}: float16 values up to {values.max():g}: above {_WHOLE_FLOAT16} it holds every other "
+            "whole number at best, so they were rounded: give the raw frames as integers"
         )
     if values.size and values.min() < 0:
         raise BadInput(

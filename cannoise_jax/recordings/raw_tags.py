@@ -17,6 +17,7 @@ from cannoise_jax.recordings.recording import BadInput, PerChannel, per_channel
 from cannoise_jax.recordings.stated_values import MOST_NLF
 from cannoise_jax.recordings.tiff_chain import check_chain
 
+CFA_PATTERN = 33422
 _NOISE_PROFILE, CFA_PLANE_COLOUR, ACTIVE_AREA, MASKED_AREAS = 51041, 50710, 50829, 50830
 BLACK_REPEAT, BLACK, BLACK_DELTAS = 50713, 50714, (50715, 50716)
 _UNIQUE_CAMERA, EXPOSURE, ISO = 50708, 33434, (34855, 34867)

@@ -28,6 +28,8 @@ from cannoise_jax.recordings.tiff_chain import check_chain
 TIFF_SUFFIXES, NUMPY_SUFFIXES = (".tif", ".tiff"), (".npy", ".npz")
 _NO_LEVELS = {0: "values count down from white (WhiteIsZero)", 3: "values are places in a palette of colours"}
 """What numbers of a TIFF mean, by its PhotometricInterpretation, that are no light."""
+_LOSSY = {6: "JPEG", 7: "JPEG", 34892: "lossy JPEG"}
+"""Values of its Compression that keep no pixel as it was."""
 _log = logging.getLogger(__name__)
 
 
@@ -75,7 +77,11 @@ def open_tiff(path: str | Path) -> Opened:
         types = {page.dtype for page in pages}
         count = len(pages)
         whole = _is_whole(file, Path(path).stat().st_size)
+        squeezed = {int(page.compression) for page in pages}
         meanings = {int(page.photometric) for page in pages if page.photometric is not None}
+    if squeezed & _LOSSY.keys():
+        how = _LOSSY[(squeezed & _LOSSY.keys()).pop()]
+        raise BadInput(f"{path}: compressed as {how}, which changes the pixels: give the raw frames")
     if not whole:
         raise BadInput(f"{path}: not a readable TIFF file: truncated after {count} pages")
     size = next(iter(shapes))

@@ -9,7 +9,7 @@ import numpy as np
 
 BYTE, ASCII, SHORT, LONG, RATIONAL, UNDEFINED, SRATIONAL, DOUBLE = 1, 2, 3, 4, 5, 7, 10, 12
 _FORMATS = {BYTE: "B", ASCII: "B", SHORT: "H", LONG: "I", UNDEFINED: "B", DOUBLE: "d"}
-_COLOUR = {"R": 0, "G": 1, "B": 2}
+_COLOUR = {"R": 0, "G": 1, "B": 2, "C": 3, "M": 4, "Y": 5}
 
 
 def _payload(kind, values):

@@ -137,6 +137,7 @@ def test_mosaics_that_are_not_bayer_are_refused_in_one_line(tmp_path):
     cases = {
         "X-Trans mosaic": write_dng(tmp_path / "x.dng", pixels, cfa=x_trans),
         "all colours in every pixel": write_dng(tmp_path / "f.dng", np.stack([pixels] * 3, -1), samples=3),
+        "mosaic of cyan, yellow, magenta": write_dng(tmp_path / "c.dng", pixels, cfa="CYYM"),
         "RGBG mosaic": write_dng(tmp_path / "g.dng", pixels, cfa="RGBG"),
         r"planes \[1\] are not red": write_dng(tmp_path / "one.dng", pixels, plane_colours="G"),
         "are not red, green, blue": write_dng(tmp_path / "p.dng", pixels, plane_colours="BGR"),

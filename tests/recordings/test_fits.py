@@ -6,6 +6,7 @@ import pytest
 from astropy.io import fits
 
 from cannoise_jax.recordings.fits import open_fits
+from cannoise_jax.recordings.fits_header import about_of
 from cannoise_jax.recordings.load import load_recording
 from cannoise_jax.recordings.recording import BadInput
 
@@ -90,6 +91,33 @@ BAD = {
     "1 value is NaN": (np.where(np.arange(FRAMES.size).reshape(FRAMES.shape) == 7, np.nan, 5.0), {}),
     "unknown CFA 'TRUE'": (FRAMES, {"BAYERPAT": "TRUE"}),
 }
+
+
+def test_frames_that_a_header_counts_are_no_average(tmp_path):
+    path = write(tmp_path / "a.fits", FRAMES, BAYERPAT="RGGB", NFRAMES=len(FRAMES))
+    assert load_recording(path, **LEVELS).count == len(FRAMES)
+    path = write(tmp_path / "b.fits", FRAMES, BAYERPAT="RGGB", NFRAMES=len(FRAMES), NCOMBINE=12)
+    with pytest.raises(BadInput, match="an average of frames"):
+        load_recording(path, **LEVELS)
+
+
+@pytest.mark.parametrize("scale", [0, 10])
+def test_what_was_compressed_with_loss_is_refused(tmp_path, scale):
+    data = np.random.default_rng(1).integers(90, 120, (64, 64)).astype(np.int16)
+    packed = fits.CompImageHDU(data, compression_type="HCOMPRESS_1", hcomp_scale=scale)
+    fits.HDUList([fits.PrimaryHDU(), packed]).writeto(tmp_path / "a.fits.fz")
+    if scale:
+        with pytest.raises(BadInput, match=r"compressed with loss \(HCOMPRESS, SCALE 10\)"):
+            load_recording(tmp_path / "a.fits.fz", cfa="MONO", **LEVELS)
+    else:
+        read = load_recording(tmp_path / "a.fits.fz", cfa="MONO", **LEVELS)
+        np.testing.assert_array_equal(np.asarray(read.frames)[0], data)
+
+
+def test_binning_in_either_spelling():
+    assert about_of({"XBINNING": 2, "YBINNING": 2})["binning"] == (2, 2)
+    assert about_of({"CCDSUM": "2 2"})["binning"] == (2, 2)
+    assert about_of({"CCDSUM": "1 1"})["binning"] is None
 
 
 @pytest.mark.parametrize("message", BAD)

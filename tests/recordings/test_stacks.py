@@ -193,6 +193,17 @@ def test_least_values_that_are_meant_are_read(tmp_path):
     assert load_recording(tmp_path / "a.npy", exposure_s=0.0).exposure_s == 0
 
 
+def test_values_that_a_format_has_rounded_are_refused(tmp_path):
+    np.save(tmp_path / "a.npy", np.array([[[100, 3001]] * 4] * 2, np.float16))
+    with pytest.raises(BadInput, match="a.npy: float16 values up to 3"):
+        load_recording(tmp_path / "a.npy", cfa="MONO", black_level=0, white_level=4095)
+    tifffile.imwrite(tmp_path / "b.tif", FRAMES[0], photometric="minisblack")
+    with tifffile.TiffFile(tmp_path / "b.tif", mode="r+") as file:
+        file.pages[0].tags["Compression"].overwrite(7)
+    with pytest.raises(BadInput, match="b.tif: compressed as JPEG, which changes the pixels"):
+        load_recording(tmp_path / "b.tif", cfa="MONO", black_level=0, white_level=4095)
+
+
 def test_colour_images_and_mixed_pages_are_refused(tmp_path):
     tifffile.imwrite(tmp_path / "a.tif", np.zeros((6, 8, 3), np.uint16), photometric="rgb")
     with tifffile.TiffWriter(tmp_path / "b.tif") as file:

@@ -23,7 +23,12 @@ def text(plan: Plan) -> str:
         ]
     lines += [f"note: {note}" for note in plan.notes]
     lines += [f"missing or contradictory: {problem}" for problem in plan.problems]
-    return "\n".join(" ".join(line.splitlines()) for line in lines)
+    return "\n".join(shown(line) for line in lines)
+
+
+def shown(line: str) -> str:
+    """One line without what a terminal takes for orders, as names of files may hold."""
+    return "".join(c if c.isprintable() else "?" for c in " ".join(line.splitlines()))
 
 
 def _row(group: Group) -> tuple[str, str, str, str]:

@@ -119,6 +119,8 @@ def test_text_names_every_file_and_note(tmp_path):
     said = text(plan)
     assert "Acme 100, 24 x 32, MONO" in said and "dark_1.fits to dark_2.fits" in said
     assert said.count("note: ") == len(plan.notes)
+    (tmp_path / "dark_1.fits").rename(tmp_path / "dark_1\x1b[31m.fits")
+    assert "dark_1?[31m.fits" in text(plan_folder(tmp_path))
 
 
 def test_exposures_that_nothing_states_are_said(tmp_path):
