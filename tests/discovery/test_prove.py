@@ -209,6 +209,7 @@ def test_what_is_found_elsewhere_is_no_gain(other, gains):
         ("dsnu", (0.3, 0.4), 0.5, False),
         ("row_noise", (0.0, 0.1), -0.6, True),  # excluded: at most 0.16 of the 1.0 that was found
         ("row_noise", (0.0, 0.4), -0.6, False),  # too few frames to say
+        ("row_noise", (0.0, 0.4), -4.0, True),  # they lose surely
         ("row_noise", (0.0, 0.1), 2.0, False),  # they gain by it
         ("row_noise", (0.3, 0.1), -0.6, False),  # they show some of it
         (UNKNOWN, (0.3, 0.1), -0.6, True),  # without a name, of which they show less than half

@@ -30,7 +30,7 @@ from cannoise_jax.discovery.proof.gains import (
 from cannoise_jax.discovery.proof.heldout import Scored, score_frames
 from cannoise_jax.discovery.search.fit import Fitted, Step, without_all
 from cannoise_jax.discovery.search.maps import beside_others, predictions
-from cannoise_jax.discovery.search.name import UNKNOWN
+from cannoise_jax.discovery.search.name import TIE_NATS, UNKNOWN
 from cannoise_jax.physics.transfer.estimate import Z90
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.score import Score
@@ -89,10 +89,11 @@ class Proofs(NamedTuple):
 
 def refuted(step: Step, proof: Proof) -> bool:
     """Whether the frames held back exclude a finding: they gain nothing by it, and the strength that they
-    show, which is zero, leaves no room for half of that of the frames that looked. Of one without a name
-    that they gain nothing is enough: nothing but its strength speaks for it, and a law that is a little off,
-    as that of noise along the raster, leaves as much. A map that is drawn once has to be the same in both: of
-    one that the frames held back have at no strength nothing would be handed back but its name."""
+    show, which is zero, leaves no room for half of that of the frames that looked, or they lose surely. Of
+    one without a name that they gain nothing is enough: nothing but its strength speaks for it, and a law
+    that is a little off, as that of noise along the raster, leaves as much. A map that is drawn once has to
+    be the same in both: of one that the frames held back have at no strength nothing would be handed back but
+    its name."""
     found, again = step.named.score, proof.score
     if step.late or again is None or proof.confirmed or proof.gain is None:
         return False
@@ -104,7 +105,8 @@ def refuted(step: Step, proof: Proof) -> bool:
         return False  # a few pixels may not jump again in few frames
     if step.named.mechanism == UNKNOWN:
         return True
-    return again.amplitude == 0 and 0 < Z90 * again.error < found.amplitude / 2
+    excluded = 0 < Z90 * again.error < found.amplitude / 2 or proof.gain < -TIE_NATS
+    return again.amplitude == 0 and excluded
 
 
 def standing(

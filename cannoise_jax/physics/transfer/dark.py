@@ -31,6 +31,9 @@ RECORD = (
 )
 _UNLIKE = 3.0
 """Times the pattern of the shortest dark from which that of the longest is the spread of dark currents."""
+_ALIKE = 0.25
+"""Of the dark current by the variance, by which that by the mean is off where the black level is clamped, or
+light leaks in: a response that bends takes less."""
 _NOISE_FLOOR = 0.02  # relative error granted to every mean square besides its statistical one
 _KNOWN = 4.0
 """Degrees of freedom that the known errors of the values are worth beside the scatter about a line: three
@@ -156,8 +159,11 @@ def dark_currents(series: Series, gain_error: float = 0.0) -> tuple[Estimate, Es
     )
     apart = by_mean.value - by_variance.value
     error = float(np.hypot(first, second))
-    if abs(apart) < max(3 * error, 0.25 * abs(by_variance.value)):
+    if abs(apart) < 3 * error:
         return by_mean, by_variance, True, "agrees with the variance"
+    if abs(apart) < _ALIKE * abs(by_variance.value):
+        share = 100 * abs(apart / by_variance.value)
+        return by_mean, by_variance, True, f"{share:.0f} % {'above' if apart > 0 else 'below'} the variance's"
     note = "disagrees with the variance: black is clamped on the chip, so the mean cannot be used"
     if apart > 0:
         note = "exceeds what the variance allows: light leak, or black level rising with exposure"
