@@ -26,6 +26,7 @@ from cannoise_jax.recordings.recording import (
     MOST_DB,
     SHORTEST_S,
 )
+from cannoise_jax.recordings.stated_values import LONGEST
 
 if TYPE_CHECKING:
     from cannoise_jax.recordings.folders.store import Options
@@ -108,7 +109,7 @@ def add_recording_flags(parser: argparse.ArgumentParser, *, single: bool = False
     """
     add = parser.add_argument
     add_level_flags(parser)
-    add("--camera", metavar="NAME", help="name of the camera, for all files")
+    add("--camera", metavar="NAME", type=name, help="name of the camera, for all files")
     if single:
         add("--kind", choices=KINDS, help="what the frames show")
         add("--iso", type=above_zero, help="of all files")
@@ -229,6 +230,13 @@ def place(text: str) -> Path:
     if not text.strip():
         raise argparse.ArgumentTypeError("an empty name: name a file or folder")
     return Path(text)
+
+
+def name(text: str) -> str:
+    """A name of one line of text. Raises argparse.ArgumentTypeError for an empty or another one."""
+    if not text.strip() or not text.isprintable() or len(text) > LONGEST:
+        raise argparse.ArgumentTypeError(f"{text[:20]!r}: give a name of one line of text")
+    return text
 
 
 def folder(text: str) -> Path:

@@ -26,6 +26,8 @@ _KINDS = (("bias", "bias"), ("zero", "bias"), ("offset", "bias"), ("dark", "dark
 _SCENES = ("light", "object", "scene", "science", "snap", "tricolor", "image")
 _ISO = ("ISO", "ISOSPEED", "ISO-SPEE")
 _EGAIN = ("EGAIN", "E-GAIN")
+_TEMPERATURES = ("CCD-TEMP", "CCDTEMP", "TEMPERAT", "DET-TEMP", "SENSTEMP")
+_WARMEST_C = 150.0
 _COMBINED = ("NCOMBINE", "STACKCNT", "SNAPSHOT", "NFRAMES", "NUMFRAME", "NSTACK")
 
 
@@ -67,9 +69,7 @@ def known_of(header: Mapping[str, Any]) -> dict[str, Any]:
         "gain_db": decibels if iso is None else None,
         "egain": _egain(header, decibels is not None or iso is not None),
         "exposure_s": next(iter(exposures_in(header).values()), None),
-        "temperature_c": number_in(
-            header, ("CCD-TEMP", "CCDTEMP", "TEMPERAT", "DET-TEMP", "SENSTEMP"), COLDEST_C
-        ),
+        "temperature_c": _celsius(number_in(header, _TEMPERATURES, COLDEST_C)),
     }
 
 
@@ -101,7 +101,7 @@ def about_of(header: Mapping[str, Any], planes: int = 1) -> dict[str, Any]:
         "mode": text_in(header, "READOUTM", "RDMODE") or None,
         "gain_setting": None if scaled else gain,
         "taken_s": taken_s(header),
-        "set_temperature_c": number_in(header, ("SET-TEMP",), COLDEST_C),
+        "set_temperature_c": _celsius(number_in(header, ("SET-TEMP",), COLDEST_C)),
         "combined": f"{frames:g} frames" if frames else f"IMAGETYP {image_type}" if words else None,
     }
 
@@ -126,7 +126,16 @@ def _doubt(header: Mapping[str, Any]) -> str | None:
     if good and max(good.values()) - min(good.values()) > max(1.0, 0.01 * max(good.values())):
         words = [f"{name} {value:g} s" for name, value in good.items()]
         return f"{' and '.join(words)} contradict: {words[0]} is used"
+    for name in (*_TEMPERATURES, "SET-TEMP"):
+        celsius = number_in(header, (name,), COLDEST_C)
+        if celsius is not None and _celsius(celsius) is None:
+            return f"{name} {celsius:g}: no temperature of a sensor in C: not used"
     return None
+
+
+def _celsius(value: float | None) -> float | None:
+    """A temperature that a sensor may have: programs also write kelvin."""
+    return value if value is not None and value <= _WARMEST_C else None
 
 
 def gain_db(header: Mapping[str, Any], camera: str | None) -> float | None:

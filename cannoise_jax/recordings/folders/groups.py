@@ -58,12 +58,12 @@ def grouped(
     """
     clusters = _clusters([_temperature(s, overrides) for s in shots])
     exposures = _exposures(shots, kinds, overrides)
-    folders = _folders(shots)
+    folders, gains = _folders(shots), _stated_gains(shots)
     members: dict[tuple, list[Shot]] = {}
     for shot, cluster in zip(shots, clusters, strict=True):
         kind = kinds[shot.name]
         name = shot.about.get("filter") if kind in LIT else None
-        mode = _mode(shot, camera, overrides, cluster)
+        mode = _mode(shot, camera, overrides, cluster, gains.get(shot.name))
         iso = overrides.get("iso", shot.known.get("iso"))
         # Darks of unknown exposures that lie apart were taken apart: their dark charge may differ.
         place = folders[shot.name] if kind == "dark" and exposures[shot.name] is None else ""
@@ -111,7 +111,23 @@ def _folders(shots: Sequence[Shot]) -> dict[str, str]:
     return {name: parent if frames[parent] > 1 else "" for name, parent in parents.items()}
 
 
-def _mode(shot: Shot, camera: str, overrides: dict[str, Any], cluster: float | None) -> tuple:
+def _stated_gains(shots: Sequence[Shot]) -> dict[str, float]:
+    """What e-/DN each shot states, by name, of cameras whose shots state no other gain and differ in it:
+    there it tells settings apart. None where a shot of the camera states nothing, or all state one."""
+    out: dict[str, float] = {}
+    for camera in {s.known.get("camera") for s in shots}:
+        own = [s for s in shots if s.known.get("camera") == camera]
+        known = [s.known.get("egain") for s in own if s.known.get("iso") is None]
+        stated: list[float] = [e for e in known if e is not None]
+        others = any(s.about.get("gain_setting") is not None for s in own)
+        if len(stated) == len(own) and not others and max(stated) > (1 + _ALIKE) * min(stated):
+            out |= {s.name: float(f"{s.known['egain']:.3g}") for s in own}
+    return out
+
+
+def _mode(
+    shot: Shot, camera: str, overrides: dict[str, Any], cluster: float | None, stated: float | None
+) -> tuple:
     known, about = shot.known, shot.about
     regulated = cluster if about.get("set_temperature_c") is not None else None
     return (
@@ -119,7 +135,7 @@ def _mode(shot: Shot, camera: str, overrides: dict[str, Any], cluster: float | N
         shot.shape[1:],
         about.get("binning"),
         about.get("origin"),
-        about.get("gain_setting"),
+        stated if about.get("gain_setting") is None else about["gain_setting"],
         about.get("offset"),
         about.get("mode"),
         overrides.get("cfa", known.get("cfa")),

@@ -27,6 +27,10 @@ def contradictions(groups: Sequence[Group]) -> list[str]:
     return [f"{listed([s.name for s in flats])}: flats darker than every dark: are the kinds swapped?"]
 
 
+_BIAS_S = 0.01
+"""Seconds that programs write for a bias: the shortest of mechanical shutters."""
+
+
 def _flats_and_darks(groups: Sequence[Group]) -> tuple[list[Shot], list[Shot]]:
     own = [(g.kind, s) for g in groups for s in g.shots if not s.whole]
     return [s for kind, s in own if kind == "flat"], [s for kind, s in own if kind in DARK]
@@ -49,6 +53,13 @@ def _dim(groups: Sequence[Group]) -> list[str]:
     return out
 
 
+def _exposed_biases(groups: Sequence[Group]) -> list[str]:
+    """Biases that state an exposure as long as a dark's, or a second."""
+    shortest = min((s for g in groups if g.kind == "dark" and (s := g.settings["exposure_s"])), default=1.0)
+    biases = [s for g in groups if g.kind == "bias" for s in g.shots]
+    return [s.name for s in biases if (s.known.get("exposure_s") or 0.0) >= min(max(shortest, _BIAS_S), 1.0)]
+
+
 def lacks(groups: Sequence[Group]) -> list[str]:
     """What the recordings of one set lack, or what looks odd of them, a line each."""
     notes = []
@@ -62,6 +73,11 @@ def lacks(groups: Sequence[Group]) -> list[str]:
         notes.append(
             f"{listed(timeless)}: no exposure time in headers or names: what grows with it is not measured; "
             "bin/convert IN... OUT.h5 --exposure SECONDS states it"
+        )
+    if exposed := _exposed_biases(groups):
+        notes.append(
+            f"{listed(exposed)}: a bias has the shortest exposure that there is: where it was exposed for as "
+            "long as stated it is a dark: --kind states it"
         )
     warm = [g.settings["temperature_c"] for g in groups if g.settings["temperature_c"] is not None]
     if warm and max(warm) - min(warm) > ALIKE_KELVIN:

@@ -294,6 +294,25 @@ def test_flats_are_compared_with_darks_of_their_own_gain(tmp_path):
     assert said.startswith("flat200_0.fits, flat200_1.fits: ")
 
 
+def test_a_bias_that_was_exposed_is_said(tmp_path):
+    night(tmp_path)
+    assert "a bias has the shortest exposure" not in notes(plan_folder(tmp_path))
+    fits.setval(tmp_path / "bias_1.fits", "EXPTIME", value=20.0)
+    assert "bias_1.fits: a bias has the shortest exposure" in notes(plan_folder(tmp_path))
+
+
+@pytest.mark.parametrize(("name", "said"), [("EGAIN", (1.6, 0.7)), ("GAIN", (1.6, 0.7)), ("GAIN", (2, 1))])
+def test_frames_of_two_gains_are_set_apart_however_they_state_them(tmp_path, name, said):
+    night(tmp_path)
+    for path in tmp_path.glob("*.fits"):
+        fits.setval(path, name, value=said["flat" in path.name])
+    plan = plan_folder(tmp_path)
+    assert len(plan.sets) == 2 and "gain" in plan.sets[1].reason
+    for path in tmp_path.glob("*.fits"):
+        fits.setval(path, name, value=said[0])
+    assert len(plan_folder(tmp_path).sets) == 1
+
+
 def test_swapped_kinds_and_darks_of_another_gain_are_said(tmp_path):
     for n in range(2):
         shot(tmp_path / "a" / f"{n}.fits", "flat", IMAGETYP="Dark Frame", EXPTIME=1.0)
