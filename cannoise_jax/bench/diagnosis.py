@@ -15,6 +15,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from cannoise_jax.mechanisms.peers import GETFRAMES
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.recordings.load import load_capture_set
 from cannoise_jax.recordings.native import write_recording
@@ -25,8 +26,8 @@ SIZE, FRAMES = (256, 384), 8
 GAIN, READ_E, BLACK, WHITE = 0.8, 2.5, 200.0, 4095.0
 LEVELS = {"dark_10ms": 0.0, "flat_dim": 0.1, "flat_bright": 0.6}
 """Light of the recordings, normalised."""
-ROWS_DN = 0.6
-"""Row noise of the camera that has some, of 2 DN of read noise."""
+EFFECT = "fixed offsets"
+"""Of the camera that has one, as `peers.GETFRAMES` has it."""
 _CACHE = ("JAX_COMPILATION_CACHE", "JAX_PERSISTENT_CACHE")
 
 
@@ -48,10 +49,12 @@ class Cost(NamedTuple):
     numpy: float
 
 
-def camera(rows: bool) -> SensorModel:
-    """A camera of 12 bits, with row noise or with none."""
+def camera(effect: str | None = None) -> SensorModel:
+    """A camera of 12 bits, with an effect of `peers.GETFRAMES` or with none."""
     model = SensorModel.poisson_gaussian(GAIN, READ_E, BLACK, WHITE, "MONO")
-    return model.with_mechanism("row_noise", sigma_dn=ROWS_DN) if rows else model
+    for id, parameters in (GETFRAMES[effect][0] if effect else {}).items():
+        model = model.with_mechanism(id, **parameters)  # type: ignore[arg-type]
+    return model
 
 
 def write_set(folder: Path, model: SensorModel) -> None:

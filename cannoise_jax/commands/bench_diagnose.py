@@ -35,7 +35,7 @@ def add_diagnose(commands: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Measures, prints and writes the table."""
-    from cannoise_jax.bench.diagnosis import camera, cost, write_set
+    from cannoise_jax.bench.diagnosis import EFFECT, camera, cost, write_set
     from cannoise_jax.bench.side_by_side import load
     from cannoise_jax.commands.bench_runs import check_table, write_table
     from cannoise_jax.recordings.load import load_capture_set
@@ -45,11 +45,11 @@ def run(arguments: argparse.Namespace) -> None:
         load_capture_set(recordings)  # one that cannot be read is refused before minutes are spent
     rows = []
     with tempfile.TemporaryDirectory(prefix="cannoise-bench-") as place:
-        simulated = {"simulated, no effect": False, "simulated, row noise": True}
-        for number, (name, has_rows) in enumerate(simulated.items()):
+        simulated = {"simulated, no effect": None, f"simulated, {EFFECT}": EFFECT}
+        for number, (name, effect) in enumerate(simulated.items()):
             (own := Path(place) / str(number)).mkdir()
             (recordings := own / "recordings").mkdir()
-            write_set(recordings, camera(has_rows))
+            write_set(recordings, camera(effect))
             rows.append(cells(name, cost(recordings, own), load()))
             print("  ".join(rows[-1]), flush=True)
         for recordings in arguments.recordings:

@@ -167,12 +167,8 @@ ENTRIES: tuple[Entry, ...] = (
              listed=26),
         GREEN_IMBALANCE,
         needs="flats, or scenes with an independent reference, from a Bayer sensor",
-        signatures=lambda recorded: (
-            looks.light.two_greens(recorded, name="greens", parameter="sigma",
-                covers=("greens", "greens_beside_patterns")),
-            looks.light.two_greens(recorded, name="greens_beside_patterns", parameter="sigma",
-                covers=("greens", "greens_beside_patterns"), patterns=True),
-        ),
+        signatures=lambda recorded: looks.light.two_greens(
+            recorded, names=("greens", "greens_beside_patterns"), parameter="sigma"),
         estimator=Estimator(maps.green_imbalance, least=1e-3),
         examples=Examples("sites", strong={"sigma": 0.05}, cases=(Case({"sigma": 0.01}, FLAT),)),
     ),

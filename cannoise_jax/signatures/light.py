@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -20,6 +21,7 @@ from cannoise_jax.signatures.least import (
 )
 from cannoise_jax.signatures.means import minus, project
 from cannoise_jax.signatures.recorded import Recorded
+from cannoise_jax.signatures.remembered import remembered
 from cannoise_jax.signatures.score import (
     ONE_PARAMETER,
     Score,
@@ -39,16 +41,21 @@ from cannoise_jax.signatures.signature import (
 
 
 class Greens(NamedTuple):
-    """Logarithm of the ratio of the two greens of one recording, its variance by the noise of pixels, and
-    what every cell of 2 x 2 pixels adds to it beyond the mean; zero where it adds nothing."""
+    """Logarithm of the ratio of the two greens of one recording, its variance by the noise of pixels, by how
+    much that grows with the variance of the black level of a pixel, DN^-2, and what every cell of 2 x 2
+    pixels adds to the ratio beyond the mean; zero where it adds nothing."""
 
     value: float
     variance: float
+    by_black: float
     cells: Float[np.ndarray, "h w"]
 
 
-def _greens(f: Fields, sites: tuple[int, int], dark: float, count: float) -> Greens | None:
-    """Of one recording; dark, count: variance of the dark level of a pixel, DN^2, and how many made it."""
+Look = Callable[[Fields], Greens | None]
+
+
+def _greens(f: Fields, sites: tuple[int, int]) -> Greens | None:
+    """Of one recording; None where a green shows no light."""
     channel, rows, columns = channel_index(f.mean.shape), f.mean.shape[0] // 2, f.mean.shape[1] // 2
     a, b = sites
     if f.kind == "scene":
@@ -57,10 +64,10 @@ def _greens(f: Fields, sites: tuple[int, int], dark: float, count: float) -> Gre
         for c, sign in ((a, 1.0), (b, -1.0)):
             chosen = (channel == c) & f.usable
             weight = np.where(chosen, f.weight.astype(np.float64) ** 2, 0.0)
-            total = weight.sum()
+            total = max(weight.sum(), 1e-30)
             x = f.clean - float(np.sum(weight * f.clean) / total)
             known = float(np.sum(weight * x**2))
-            slope = float(np.sum(weight * x * f.mean) / known)
+            slope = float(np.sum(weight * x * f.mean) / known) if known > 0 else 0.0
             if slope <= 0:
                 return None
             value += sign * np.log(slope)
@@ -68,39 +75,43 @@ def _greens(f: Fields, sites: tuple[int, int], dark: float, count: float) -> Gre
             level = float(np.sum(weight * (f.mean - slope * x)) / total)
             each = sign * weight * x * (f.mean - level - slope * x) / (known * slope)
             cells += each[c // 2 :: 2, c % 2 :: 2][:rows, :columns]
-        return Greens(value, variance, cells)
+        return Greens(value, variance, 0.0, cells)
     # Both greens at the sites of the second, equally blurred: neither a gradient nor a curvature of the light
     # must look like a contrast.
     inside = (channel == b)[2:-2, 2:-2]
     maps = _diagonal(f.mean)[2:-2, 2:-2] - f.black[a], _blurred(f.mean)[2:-2, 2:-2] - f.black[b]
     levels = [float(np.mean(image[inside])) for image in maps]
-    if min(levels) <= 0:
+    shown = [(channel == c) & f.usable for c in sites]
+    if min(levels) <= 0 or not all(chosen.any() for chosen in shown):
         return None
-    variance = 0.0
-    for c, level in zip(sites, levels, strict=True):
-        chosen = (channel == c) & f.usable
-        noise = float(np.mean(f.sigma[chosen] ** 2)) / chosen.sum() / f.frames + dark / (count * chosen.sum())
-        variance += noise / level**2
+    variance = by_black = 0.0
+    for chosen, level in zip(shown, levels, strict=True):
+        variance += float(np.mean(f.sigma[chosen] ** 2)) / chosen.sum() / f.frames / level**2
+        by_black += 1 / (chosen.sum() * level**2)
     apart = np.zeros(f.mean.shape)
     apart[2:-2, 2:-2] = np.where(inside, maps[0] / levels[0] - maps[1] / levels[1], 0.0) / inside.sum()
-    return Greens(np.log(levels[0] / levels[1]), variance, apart[b // 2 :: 2, b % 2 :: 2][:rows, :columns])
+    cells = apart[b // 2 :: 2, b % 2 :: 2][:rows, :columns]
+    return Greens(np.log(levels[0] / levels[1]), variance, by_black, cells)
 
 
-def green_score(
-    fields: tuple[Fields, ...], *, greens: tuple[int, int] | None, patterns: bool = False
-) -> Score[float] | None:
-    """Relative difference of the two green channels. patterns: by the scatter that bands of rows and of
-    columns show, which frozen patterns of pixels and lines add to; by the noise of pixels alone
-    otherwise."""
-    if greens is None:
-        return None
+def looking_at(sites: tuple[int, int] | None) -> Look:
+    """`_greens` at these sites, worked out once for a recording; None: there are none."""
+    if sites is None:
+        return lambda field: None
+    return remembered("mean", "sigma", "usable")(partial(_greens, sites=sites))
+
+
+def green_score(fields: tuple[Fields, ...], *, look: Look, patterns: bool = False) -> Score[float] | None:
+    """Relative difference of the two green channels. look: see `looking_at`. patterns: by the scatter that
+    bands of rows and of columns show, which frozen patterns of pixels and lines add to; by the noise of
+    pixels alone otherwise."""
     dark = float(np.mean([np.median(g.sigma) ** 2 for g in fields if not g.lit] or [0.0]))
     count = sum(g.frames for g in fields if not g.lit) or np.inf
     lit = [f for f in fields if f.static is not None and f.lit and f.usable.any()]
-    told = [g for f in lit if (g := _greens(f, greens, dark, count)) is not None]
+    told = [g for f in lit if (g := look(f)) is not None]
     if not told:
         return None
-    weight = np.array([1 / g.variance for g in told])
+    weight = np.array([1 / (g.variance + dark / count * g.by_black) for g in told])
     weight, variance = weight / weight.sum(), float(1 / weight.sum())
     value, freedom = float(weight @ [g.value for g in told]), np.inf
     if patterns:
@@ -220,11 +231,10 @@ def shading_absorb(fields: tuple[Fields, ...], score: Score[tuple[float, float]]
     )
 
 
-def two_greens(
-    recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...], patterns: bool = False
-) -> Signature:
-    """A difference between the two greens; patterns: as `green_score` has them."""
+def two_greens(recorded: Recorded, *, names: tuple[str, str], parameter: str) -> tuple[Signature, Signature]:
+    """A difference between the two greens, where noise alone scatters them and where patterns do too."""
     sites = recorded.greens
+    look = looking_at(sites)
 
     def pattern(fields: Many, score: Score, rng: np.random.Generator) -> np.ndarray | None:
         if sites is None:
@@ -240,20 +250,23 @@ def two_greens(
         sign = np.array([(n == sites[0]) - 1.0 * (n == sites[-1]) for n in range(4)])
         return template(sets, lambda s: s.signal * sign[channel_index(s.weight.shape)])
 
-    return Signature(
-        name=name,
-        axes=Axes("photons", "channel", "frozen", "signal", "contrast"),
-        reads=STATIC | {"mean"},
-        score=partial(green_score, greens=sites, patterns=patterns),
-        absorb=unchanged,
-        covers=covers,
-        predict=NO_LAW,
-        pattern=pattern,
-        simulate=strength(parameter, unit_map=True),
-        place=placed(Point("photons", "mean", "channel", "frozen", "multiply"), unit_map=True),
-        detectable=BY_SHIFT,
-        least=least,
-    )
+    def signature(name: str, patterns: bool) -> Signature:
+        return Signature(
+            name=name,
+            axes=Axes("photons", "channel", "frozen", "signal", "contrast"),
+            reads=STATIC | {"mean"},
+            score=partial(green_score, look=look, patterns=patterns),
+            absorb=unchanged,
+            covers=names,
+            predict=NO_LAW,
+            pattern=pattern,
+            simulate=strength(parameter, unit_map=True),
+            place=placed(Point("photons", "mean", "channel", "frozen", "multiply"), unit_map=True),
+            detectable=BY_SHIFT,
+            least=least,
+        )
+
+    return signature(names[0], False), signature(names[1], True)
 
 
 def shaded(recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...]) -> Signature:

@@ -19,15 +19,14 @@ def small(monkeypatch):
 
 
 def test_the_recordings_are_those_of_the_camera(small, tmp_path):
-    write_set(tmp_path, camera(rows=True))
+    write_set(tmp_path, camera(diagnosis.EFFECT))
     capture = load_capture_set(tmp_path)
     dark = next(r for r in capture.recordings if r.kind == "dark")
     frames = np.asarray(dark.frames[:], float)
     assert [r.kind for r in capture.recordings].count("flat") == 2
-    # Of single frames: read noise, rounding, and a 96th of both beside the rows.
-    within = np.hypot(diagnosis.GAIN * diagnosis.READ_E, 12**-0.5)
-    assert np.std(frames, 2).mean() == pytest.approx(within, rel=0.02)
-    assert np.std(frames.mean(2)) == pytest.approx(np.hypot(diagnosis.ROWS_DN, within / 96**0.5), rel=0.1)
+    noise = np.hypot(diagnosis.GAIN * diagnosis.READ_E, 12**-0.5)
+    assert np.std(frames, 0, ddof=1).mean() == pytest.approx(0.965 * noise, rel=0.02)  # of 8, c4 is 0.965
+    assert np.std(frames.mean(0)) == pytest.approx(np.hypot(1.0, noise / 8**0.5), rel=0.03)
     assert numpy_pass(capture) > 0
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax.signatures.fields import Fields, helmert
-from cannoise_jax.signatures.light import green_score
+from cannoise_jax.signatures.light import green_score, looking_at
 
 SIZE, GAIN, READ, BLACK = (48, 64), 0.8, 3.0, 200.0
 
@@ -39,7 +39,7 @@ def p_values(seed: int, sets: int, prnu: float = 0.0, lines: str = "", apart: fl
         if shape:
             response = response * (1 + 0.005 * rng.standard_normal(shape))
         flats = tuple(flat(rng, level * light * response, n) for n, level in enumerate((2000.0, 6000.0)))
-        score = green_score(flats, greens=(1, 2), patterns=True)
+        score = green_score(flats, look=looking_at((1, 2)), patterns=True)
         assert score is not None
         out.append(np.exp(score.log_p))
     return np.array(out)
