@@ -47,12 +47,16 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--frames", type=count, default=1, metavar="N", help="frames per clean image")
     parser.add_argument("--seed", type=seed, default=0, help="of the noise")
     add = parser.add_argument
-    add("--cfa", choices=CFA_PATTERNS, help="colour order of the clean images")
+    add(
+        "--cfa",
+        choices=CFA_PATTERNS,
+        help="colour order of the clean images, and of a reference that states none",
+    )
     add(
         "--black-level",
         type=numbers,
         metavar="DN",
-        help="of the clean images, and of what is written without a reference file",
+        help="of the clean images, of a reference that states none, and of what is written without one",
     )
     add("--white-level", type=level, metavar="DN", help="likewise")
     add("--reference-cfa", choices=CFA_PATTERNS, help="of a reference file, in place of its own")

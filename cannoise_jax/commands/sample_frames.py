@@ -58,6 +58,7 @@ class Target:
     black_level: PerChannel | None = None
     white_level: float | None = None
     code_step: float = 1.0
+    cfa: str | None = None
 
 
 def synthesise(arguments: argparse.Namespace) -> list[Path]:
@@ -85,7 +86,7 @@ def synthesise(arguments: argparse.Namespace) -> list[Path]:
             "use a file that does, or a model trained with config.level=both"
         )
     model = _own_sensor(model, target.camera)
-    sources = _clean_images(arguments)
+    sources = _clean_images(arguments, target.cfa)
     outputs = [arguments.out / f"{source.path.stem}_{target.camera}.h5" for source in sources]
     levels = [_levels(arguments, source, target) for source in sources]
     if len(set(outputs)) < len(outputs):
@@ -143,16 +144,17 @@ def _codes(mosaic, black, white, step):
     return np.clip(np.rint((dark + mosaic * (white - dark)) / step) * step, 0, white).astype(np.uint16)
 
 
-def _clean_images(arguments) -> list[Clean]:
+def _clean_images(arguments, cfa: str | None) -> list[Clean]:
+    """cfa: the colour order of the reference, for arrays, which state none."""
     path: Path = arguments.clean
     if not path.exists():
         raise BadInput(f"{path}: no such file or folder")
     if not path.is_dir():
-        return [_clean_image(path, arguments)]
-    return [_clean_image(p, arguments) for p in recording_paths(path)]
+        return [_clean_image(path, arguments, cfa)]
+    return [_clean_image(p, arguments, cfa) for p in recording_paths(path)]
 
 
-def _clean_image(path: Path, arguments) -> Clean:
+def _clean_image(path: Path, arguments, cfa: str | None) -> Clean:
     """A floating-point NPY mosaic as it is; anything else as a recording."""
     if path.suffix.lower() == ".npy":
         try:
@@ -167,7 +169,7 @@ def _clean_image(path: Path, arguments) -> Clean:
                     f"{path}: values from {np.nanmin(image):g} to {np.nanmax(image):g}: a clean mosaic is "
                     "(DN - black) / (white - black), from 0 to 1"
                 )
-            return _checked(Clean(path, image.astype(np.float32), arguments.cfa or "RGGB", None))
+            return _checked(Clean(path, image.astype(np.float32), arguments.cfa or cfa or "RGGB", None))
     return _from_recording(load_recording(path, **_overrides(arguments)))
 
 
@@ -216,6 +218,11 @@ def _target(arguments, model) -> Target:
     if Path(name).is_file():  # the flags of the clean images fill in what the file leaves out
         silent = {k for k in stated if open_file(Path(name)).known.get(k) is None}
         stated |= {k: v for k, v in _overrides(arguments).items() if k in silent and stated[k] is None}
+        if missing := [k for k in stated if k in silent and stated[k] is None]:
+            flags = ", ".join(f"--reference-{k.replace('_', '-')}" for k in missing)
+            raise BadInput(
+                f"{name}: does not state {', '.join(missing).replace('_', ' ')}: set it with {flags}"
+            )
     return _target_recording(load_recording(name, **stated), iso)
 
 
@@ -258,7 +265,7 @@ def _target_recording(recording: Recording, iso: float | None) -> Target:
     step = recording.code_step or detect_code_step(np.asarray(recording.frames[:1])) or 1.0
     return Target(
         recording.camera, recording.iso or iso, reference, (nlf[0], nlf[1]), given, recording.black_level,
-        recording.white_level, step,
+        recording.white_level, step, recording.cfa,
     )  # fmt: skip
 
 

@@ -90,7 +90,7 @@ def test_a_reference_that_states_no_levels_has_flags_of_its_own(model, tmp_path,
     np.save(tmp_path / "ref.npy", np.random.default_rng(0).integers(100, 140, (64, 64)).astype(np.uint16))
     clean = good(tmp_path)
     assert run(model, clean, tmp_path / "ref.npy", tmp_path / "out", *LEVELS) == 2
-    assert "cfa is missing: set it with --cfa" in capsys.readouterr().err
+    assert "ref.npy: does not state cfa: set it with --reference-cfa" in capsys.readouterr().err
     flags = ("--cfa", "RGGB", *LEVELS, "--reference-black-level", 50, "--reference-white-level", 999)
     assert run(model, clean, tmp_path / "ref.npy", tmp_path / "out", *flags) == 0
     assert read_recording(next((tmp_path / "out").glob("*.h5"))).white_level == 999
@@ -154,6 +154,12 @@ def test_flags_hold_for_the_reference_file_too(model, tmp_path):
     made = read_recording(tmp_path / "out" / f"clean_{tmp_path.name}.h5")
     assert (made.cfa, made.black_level, made.white_level) == ("GBRG", (BLACK,) * 4, WHITE)
     assert abs(np.std(np.asarray(made.frames)) / 8 - 1) < 0.15
+
+
+def test_an_array_has_the_colour_order_of_the_reference(model, tmp_path):
+    np.save(tmp_path / "clean.npy", np.full((64, 64), 0.2, np.float32))
+    assert run(model, tmp_path / "clean.npy", write(tmp_path / "ref.h5"), tmp_path / "out") == 0
+    assert read_recording(tmp_path / "out" / "clean_B.h5").cfa == "GBRG"
 
 
 def test_a_folder_of_arrays_and_recordings_gives_one_file_each(model, tmp_path):

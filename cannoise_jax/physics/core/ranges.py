@@ -232,6 +232,8 @@ def check_taken(clean: Any, settings: Settings) -> None:
     shape = np.shape(clean)
     if len(shape) != 2 or 0 in shape:
         raise ValueError(f"clean must be a mosaic [H, W], got shape {shape}")
+    if isinstance(clean, np.ma.MaskedArray):
+        raise ValueError("clean is a masked array: give the values to draw, as clean.filled(0)")
     if not isinstance(clean, jax.core.Tracer) and np.asarray(clean).dtype.kind == "c":
         raise ValueError("clean holds complex values: give real ones")
     if not isinstance(clean, jax.core.Tracer) and not np.isfinite(np.asarray(clean)).all():
@@ -241,6 +243,8 @@ def check_taken(clean: Any, settings: Settings) -> None:
 
 
 def _check_normalised(clean: np.ndarray) -> None:
-    middle, least = float(np.median(clean)), float(clean.min())
+    middle, least, most = float(np.median(clean)), float(clean.min()), float(clean.max())
+    if most > BRIGHTEST and np.array_equal(clean, np.rint(clean)):
+        raise ValueError(f"clean holds whole numbers up to {most:.4g}, {NOT_NORMALISED}")
     if middle > BRIGHTEST or least < DARKEST:
         raise ValueError(f"clean has median {middle:.4g} and lowest value {least:.4g}, {NOT_NORMALISED}")
