@@ -68,6 +68,20 @@ def test_too_little_and_too_much_are_told_apart(plain, alter, name):
         assert {d.sign for d in found.differences if d.what == name} == {sign}
 
 
+def slope(dn_across):
+    """A slope of the darks that falls along the columns, or rises."""
+    return lambda rng: lambda dn, *_: dn + dn_across * np.linspace(-0.5, 0.5, dn.shape[-1])
+
+
+@pytest.mark.parametrize("fall", [-3.0, 3.0])
+def test_what_may_have_either_sign_is_too_little_where_it_is_smaller(plain, fall):
+    for recorded, drawn, sign in ((slope(fall), None, 1), (None, slope(fall), -1)):
+        shown = plain if recorded is None else capture_set(33, recorded, kinds="d")
+        found = compare(shown, camera(drawn) if drawn else camera(), KEY)
+        smooth = [d for d in found.differences if d.what == "smooth fixed pattern"]
+        assert smooth and {d.sign for d in smooth} == {sign}
+
+
 def test_sizes_are_those_that_were_put_in(plain):
     little = {d.what: d for d in compare(capture_set(34, rows(1.0), kinds="d"), camera(), KEY).differences}
     assert little["rows"].recorded == pytest.approx(1.0, rel=0.15) and little["rows"].simulated < 0.15

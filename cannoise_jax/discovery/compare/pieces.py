@@ -45,6 +45,14 @@ def _by_sign(j: Judgement, found: np.ndarray) -> Iterator[tuple[int, np.ndarray,
             yield sign, k, int(k[np.argmax(np.abs(j.z[k]))])
 
 
+def _by_size(j: Judgement, found: np.ndarray) -> Iterator[tuple[int, np.ndarray, int]]:
+    """The same of what may have either sign: where that of the recordings is larger, and where smaller."""
+    larger = np.abs(j.recorded[found]) > np.abs(j.simulated[found])
+    for sign, k in ((1, found[larger]), (-1, found[~larger])):
+        if k.size:
+            yield sign, k, int(k[np.argmax(np.abs(j.z[k]))])
+
+
 def _nats_of_means(compared: Compared, j: Judgement, k: np.ndarray) -> float:
     own = compared.recorded[j.where].families[j.family]
     return float(np.sum(len(own.values) * (j.recorded[k] - j.simulated[k]) ** 2 / own.size[k]) / 2)
@@ -168,7 +176,7 @@ def moments(compared: Compared, j: Judgement, found: np.ndarray, time: str) -> l
             if best == 0:
                 nats *= 1e-3  # the energies say the same, and have its size in DN
             recorded, simulated = float(j.recorded[best]), float(j.simulated[best])
-            if order == 0 and best > first:  # how uneven, whichever side has more
+            if order == 1 or (order == 0 and best > first):  # how uneven or lopsided, whichever side has more
                 recorded, simulated = abs(recorded), abs(simulated)
             sign = 1 if recorded > simulated else -1
             place = bank.MOMENTS[best - first]
@@ -183,11 +191,11 @@ def moments(compared: Compared, j: Judgement, found: np.ndarray, time: str) -> l
 
 
 def correlations(lag_of: Callable[[int], np.ndarray], also: str = "") -> Lines:
-    """Of correlations of neighbours, by sign; lag_of: rows down and columns across of the one at an index."""
+    """Of correlations of neighbours, by size; lag_of: rows down and columns across of the one at an index."""
 
     def lines(compared: Compared, j: Judgement, found: np.ndarray, time: str) -> list[Piece]:
         out = []
-        for sign, k, best in _by_sign(j, found):
+        for sign, k, best in _by_size(j, found):
             lag = lag_of(best)
             far = "neighbouring" if max(abs(lag)) <= 4 else "distant"
             out.append(
@@ -238,12 +246,12 @@ def counts(called: Called, per_frame: bool = False) -> Lines:
 def means(
     called: Called, unit: str = "% correlation", shown: Callable[[float], float] | None = None
 ) -> Lines:
-    """Of means, by sign; unit: DN for those of the static map in standard deviations of its noise. shown: of
+    """Of means, by size; unit: DN for those of the static map in standard deviations of its noise. shown: of
     one in the table; None: percent."""
 
     def lines(compared: Compared, j: Judgement, found: np.ndarray, time: str) -> list[Piece]:
         out = []
-        for sign, k, best in _by_sign(j, found):
+        for sign, k, best in _by_size(j, found):
             what, note = called(best)
             scale = _scale(compared, j.where, words.STATIC) if unit == "DN" else 100.0
             both = (float(v[best]) for v in (j.recorded, j.simulated))
