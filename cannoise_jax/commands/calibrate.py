@@ -139,11 +139,12 @@ def _doubted(transfers: Sequence[PhotonTransfer]) -> list[str]:
     """What was said on the way that bears on all numbers of a sheet: flats that no dark is as warm as, and
     what is stated and contradicted by the recordings."""
     from cannoise_jax.physics.transfer.one_temperature import no_dark_as_warm
-    from cannoise_jax.physics.transfer.stated import colours_line, exposures_lines
+    from cannoise_jax.physics.transfer.stated import codes_line, colours_line, exposures_lines
 
     lines: list[str] = []
     for one in (t.statistics for t in transfers):
-        lines += (no_dark_as_warm([s.recording for s in one]), colours_line(one), *exposures_lines(one))
+        own = [s.recording for s in one]
+        lines += (no_dark_as_warm(own), colours_line(one), codes_line(one), *exposures_lines(one))
     return list(dict.fromkeys(filter(None, lines)))
 
 
@@ -215,8 +216,7 @@ def calibrate(
             wrong = faults(alike[iso])  # of the gain the table says it
         if refused := wrong.cut_off or wrong.unlike:
             raise BadInput(refused)
-        stated = wrong.black, wrong.colours, wrong.lights, wrong.charge
-        said = *stated, wrong.unlit, wrong.defects, wrong.shadows, wrong.longer, wrong.uneven
+        said = *wrong.stated, wrong.unlit, wrong.defects, wrong.shadows, wrong.longer, wrong.uneven
         for line in filter(None, (others, *said)):
             logging.getLogger(__name__).warning("%s: %s", capture.camera, line)
     if note := told([s for iso in order for s in alike[iso]]):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 
 import numpy as np
@@ -69,6 +70,20 @@ def test_greens_that_are_none_are_said(stated, true, light):
     if wrong:
         assert found.colours.startswith(f"flat_1s.h5: the two greens of {stated} differ by ")
         assert "--cfa" in found.colours and "\n" not in found.colours
+
+
+@pytest.mark.parametrize("shifted", ["dark", "flat"])
+def test_codes_of_two_scales_are_said(shifted):
+    both = [recorded("dark", 0.1), recorded("flat", 1.0, lamp=1000)]
+    assert faults(both).codes == ""
+    moved = [
+        frame_statistics(dataclasses.replace(s.recording, frames=np.asarray(s.recording.frames[:]) * 4))
+        if s.recording.kind == shifted
+        else s
+        for s in both
+    ]
+    said = faults(moved).codes
+    assert said.startswith(f"codes of {shifted}") and "lie 4 DN apart" in said and "\n" not in said
 
 
 def test_flats_of_one_level_contradict_exposures_that_are_apart():

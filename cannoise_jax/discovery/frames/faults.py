@@ -41,8 +41,7 @@ def fault_lines(found: Mapping[float | None, Faults]) -> list[str]:
     for iso, wrong in found.items():
         moves = f"the gain{at_iso(iso)} was not measured: {wrong.moves}" if wrong.moves else ""
         doubted = f"the gain{at_iso(iso)}: {wrong.doubted}" if wrong.doubted else ""
-        stated = wrong.black, wrong.colours, wrong.lights, wrong.charge
-        measured = *stated, wrong.unlit, wrong.longer, wrong.uneven
+        measured = *wrong.stated, wrong.unlit, wrong.longer, wrong.uneven
         out += [line for line in (wrong.cut_off, moves, doubted, *measured) if line]
     return out
 

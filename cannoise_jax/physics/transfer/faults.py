@@ -14,7 +14,7 @@ from cannoise_jax.physics.transfer.quantities import SET_ASIDE, set_aside
 from cannoise_jax.physics.transfer.rails import STILL, contradicted_black, cut_off
 from cannoise_jax.physics.transfer.regions import uneven_noise
 from cannoise_jax.physics.transfer.several_gains import several_gains
-from cannoise_jax.physics.transfer.stated import colours_line, exposures_lines
+from cannoise_jax.physics.transfer.stated import codes_line, colours_line, exposures_lines
 from cannoise_jax.physics.transfer.unlit import unlit_line, without_unlit
 from cannoise_jax.recordings.recording import DARK
 
@@ -31,7 +31,7 @@ class Faults(NamedTuple):
     the darks'. unlit: no light reaches a part of a flat. longer: the read noise is that of long darks.
     uneven: it differs between parts of the frame. defects: pixels that show nothing. shadows: of dust.
     colours: the greens of the stated order are none. lights, charge: flats, or darks, contradict their
-    exposures.
+    exposures. codes: those of flats and darks have not one scale.
     """
 
     cut_off: str = ""
@@ -47,6 +47,12 @@ class Faults(NamedTuple):
     colours: str = ""
     lights: str = ""
     charge: str = ""
+    codes: str = ""
+
+    @property
+    def stated(self) -> tuple[str, ...]:
+        """What is stated of the recordings, or looks as if all were of one camera, and is contradicted."""
+        return self.black, self.colours, self.lights, self.charge, self.codes
 
 
 def faults(statistics: Sequence[FrameStatistics], lines: Sequence[Line | NotMeasurable] = ()) -> Faults:
@@ -62,6 +68,7 @@ def faults(statistics: Sequence[FrameStatistics], lines: Sequence[Line | NotMeas
         cut_off(statistics), several_gains(statistics), moves, doubted, contradicted_black(statistics),
         unlit_line(parted), _longer(statistics), _uneven(parted), defects_line(parted),
         shadows_line(parted), colours_line(parted), *exposures_lines(parted),
+        codes_line(parted),
     )  # fmt: skip
 
 

@@ -1,4 +1,5 @@
-"""Colour orders and exposures that are stated of recordings and that their levels contradict."""
+"""Colour orders and exposures that are stated of recordings and that their levels contradict, and codes of
+two scales."""
 
 from __future__ import annotations
 
@@ -39,6 +40,24 @@ def colours_line(statistics: Sequence[FrameStatistics]) -> str:
     light = _light(brightest, black)
     said = other_colours(light, brightest.recording.cfa) if min(light) > 0 else None
     return f"{_name(brightest)}: {said}" if said else ""
+
+
+def codes_line(statistics: Sequence[FrameStatistics]) -> str:
+    """That the codes of all flats lie further apart than those of all darks, or the other way round, as where
+    one kind was stored shifted; empty where both have one lattice, or one has none."""
+    known = [s for s in statistics if s.code_step > 0]
+    flats, darks = ([s for s in known if (s.recording.kind in DARK) == of_dark] for of_dark in (False, True))
+    for wide, fine in ((flats, darks), (darks, flats)):
+        if not (wide and fine):
+            return ""
+        one, two = min(wide, key=lambda s: s.code_step), max(fine, key=lambda s: s.code_step)
+        if one.code_step >= 2 * two.code_step:
+            return (
+                f"codes of {_name(one)} lie {one.code_step:g} DN apart, those of {_name(two)} "
+                f"{two.code_step:g}: one of them was shifted or scaled: give both as the camera wrote them, "
+                "gain and read noise are wrong with it"
+            )
+    return ""
 
 
 def exposures_lines(statistics: Sequence[FrameStatistics]) -> tuple[str, str]:
