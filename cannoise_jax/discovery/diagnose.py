@@ -16,7 +16,7 @@ from jaxtyping import Array, Key
 from cannoise_jax.discovery.compare.remainder import with_remainder
 from cannoise_jax.discovery.compare.sources import Source, shaded
 from cannoise_jax.discovery.frames.battery import Prepared
-from cannoise_jax.discovery.frames.calls import checked_capture, checked_key
+from cannoise_jax.discovery.frames.calls import check_one_size, checked_capture, checked_key
 from cannoise_jax.discovery.frames.faults import (
     FaultWarning,
     at_one_temperature,
@@ -94,15 +94,16 @@ def diagnose(
     `mechanisms` may hold entries of one's own, which are looked for too. compare: also run the two-sample
     test. tell: called with one line per stage. Frames without noise, and moving scenes beside flats, are left
     out with a `LeftOutWarning`, and faults of the others are said with a `FaultWarning`.
-    Raises BadInput for a simulator that cannot be judged, where too few frames are left, for flats and darks
-    of two gains, and for scenes that move where no flats are, ValueError for unknown names or an alpha out of
-    (0, 1), TypeError for what is no capture set or no key.
+    Raises BadInput for a simulator that cannot be judged, frames of several sizes, where too few are left,
+    for flats and darks of two gains, and for scenes that move where no flats are, ValueError for unknown
+    names or an alpha out of (0, 1), TypeError for what is no capture set or no key.
     """
     if isinstance(alpha, bool) or not isinstance(alpha, int | float | np.number):
         raise TypeError(f"alpha is {alpha!r}: give a number between 0 and 1")
     if not 0 < alpha < 1:
         raise ValueError(f"alpha must lie between 0 and 1, got {alpha}")
     capture, key = checked_capture(capture), checked_key(key)
+    check_one_size(capture)
     log_alpha = float(np.log(alpha * (SHARED.names if compare else 1.0)))
     entries = declare.registered(without, mechanisms)
     allowed = frozenset(entry.id for entry in entries)

@@ -53,6 +53,9 @@ def assembled(path: str | Path, file: fits.HDUList, numbers: list[int]) -> Opene
     cards = plain_cards(file[0].header) | plain_cards(file[numbers[0]].header)
     header = fits.Header([card for name, card in cards.items() if name not in _SKIPPED])
     known, about = known_of(header), about_of(header)
+    about["doubt"] = (
+        "; ".join(filter(None, (about["doubt"], _unlike([file[n].header for n in numbers])))) or None
+    )
     overscans = [o for n in numbers if (o := _overscan(file[n])) is not None]
     if len(overscans) == len(numbers):
         known["black_level"] = per_channel(float(np.median(overscans)))
@@ -64,6 +67,21 @@ def assembled(path: str | Path, file: fits.HDUList, numbers: list[int]) -> Opene
     return Opened(LazyArray(read, shape, np.dtype(np.uint16)), known, about)
 
 
+def _unlike(headers: list[fits.Header]) -> str | None:
+    """That amplifiers state gains that are far apart: one gain is measured of all of them."""
+    known = [known_of(h)["egain"] for h in headers]
+    stated: list[float] = [e for e in known if e is not None]
+    if not stated or max(stated) < _APART * min(stated):
+        return None
+    gains = ", ".join(f"{e:g}" for e in stated)
+    return (
+        f"its amplifiers state gains of {gains} e-/DN: what is measured of all together is a mean of theirs"
+    )
+
+
+_APART = 1.1
+"""Times a gain another one is, from which on their mean is none of either: those of one sensor differ by some
+per cent."""
 _SKIPPED = ("BIASSEC", "TRIMSEC", "DATASEC", "DETSEC")
 
 

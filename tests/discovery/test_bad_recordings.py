@@ -73,6 +73,13 @@ def test_recordings_of_two_sensors_are_refused(fields, said):
         diagnose(of_first(capture_set(1, kinds="df"), **fields))
 
 
+def test_frames_of_two_sizes_are_refused():
+    capture = capture_set(1, kinds="df")
+    small = capture.recordings[0].frames[:, :32, :32]
+    with pytest.raises(BadInput, match=r"frames of several sizes \(32 x 32, \d+ x \d+ pixels\)"):
+        diagnose(of_first(capture, frames=small))
+
+
 def test_single_frames_calibrate_nothing():
     single = capture_set(1, kinds="df", frames=1)
     with pytest.raises(BadInput, match="every recording is of one frame"):

@@ -283,6 +283,11 @@ def test_amplifiers_are_put_where_they_lie(tmp_path):
     np.testing.assert_array_equal(recording.frames[:], whole[None])
     np.testing.assert_array_equal(recording.frames[0, 2:4, 5:9], whole[2:4, 5:9])
     assert recording.camera == "Acme Twin" and recording.black_level == (92,) * 4
+    for gains, said in (((1.5, 1.55), False), ((1.5, 2.5), True)):
+        for n, gain in enumerate(gains):
+            fits.setval(tmp_path / "a.fits", "GAIN", value=gain, ext=n + 1)
+        doubt = open_fits(tmp_path / "a.fits").about["doubt"]
+        assert (doubt is not None and "state gains of 1.5, 2.5 e-/DN" in doubt) == said
     with pytest.raises(BadInput, match="holds 2 images .AMP0, AMP1. and no DETSEC"):
         load_recording(amplifiers(tmp_path / "b.fits", whole, detsec=False), cfa="MONO", white_level=65535)
     with pytest.raises(BadInput, match="overlap or leave gaps"):

@@ -37,6 +37,14 @@ def checked_capture(capture: Any) -> CaptureSet:
     return capture
 
 
+def check_one_size(capture: CaptureSet) -> None:
+    """Raises BadInput for frames of several sizes, whose patterns cannot be held against one another."""
+    sizes = list(dict.fromkeys(f"{h} x {w}" for h, w in (r.size for r in capture.recordings)))
+    if len(sizes) > 1:
+        place = capture.path or capture.camera
+        raise BadInput(f"{place}: frames of several sizes ({', '.join(sizes)} pixels): give those of one")
+
+
 def _check_normalised(recording: Recording) -> None:
     """Raises BadInput for a noise-free image in DN; single pixels may be dead, so its median tells."""
     clean: Any = recording.clean
