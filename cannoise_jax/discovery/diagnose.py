@@ -66,6 +66,10 @@ AFTER = "the simulator handed back"
 class Diagnosis(Result):
     """What a run found, which writes itself down."""
 
+    def __repr__(self) -> str:
+        found = ", ".join(self.findings) or "nothing"
+        return f"<Diagnosis of {self.capture.camera}: {self.verdict}; found: {found}>"
+
     def save(self, folder: str | Path, *, force: bool = False) -> dict[str, Any]:
         """Writes report.html, report.json and sensor.json into a folder, and returns the report.
 

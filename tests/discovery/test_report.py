@@ -24,7 +24,7 @@ from cannoise_jax.discovery.report.wording import sentence
 from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.native import write_recording
-from cannoise_jax.recordings.recording import CaptureSet
+from cannoise_jax.recordings.recording import BadInput, CaptureSet
 from tests.discovery.capture import capture_set, column_pattern, row_offsets
 from tests.discovery.looks import SIGNATURES
 
@@ -151,6 +151,13 @@ def test_report_follows_its_schema(report):
     check_report(report)
     assert {f["mechanism"] for f in report["findings"]} == {"row_noise", "column_fpn"}
     assert all(f["heldout_basis"] == "likelihood" for f in report["findings"])
+
+
+@pytest.mark.parametrize("folder", ["", " ", None, 3])
+def test_a_report_goes_into_a_folder_that_is_named(found, folder):
+    with pytest.raises(BadInput, match="name a folder for the report"):
+        found.save(folder)
+    assert len(repr(found)) < 300 and found.verdict in repr(found)
 
 
 def test_after_is_better_than_before_on_frames_held_back(report):

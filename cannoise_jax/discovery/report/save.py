@@ -30,8 +30,11 @@ def save(
     """Writes `REPORT_FILES` into a folder, made where it is missing, and returns the report.
 
     key, seconds: of the run, as the report states them. used: rows and columns where frames were cut.
-    Raises BadInput where a file exists (without force) or cannot be written; then all that was there is kept.
+    Raises BadInput for no folder, where a file exists (without force) or cannot be written; then all that was
+    there is kept.
     """
+    if not isinstance(folder, str | Path) or not str(folder).strip():
+        raise BadInput(f"folder is {folder!r}: name a folder for the report")
     folder = Path(folder)
     there = [name for name in REPORT_FILES if is_finished(folder / name)]
     if there and not force:
