@@ -43,18 +43,17 @@ def run(arguments: argparse.Namespace) -> None:
     check_table(arguments)
     for recordings in arguments.recordings:
         load_capture_set(recordings)  # one that cannot be read is refused before minutes are spent
-    rows = []
+    rows: list[tuple[str, ...]] = []
     with tempfile.TemporaryDirectory(prefix="cannoise-bench-") as place:
-        simulated = {"simulated, no effect": None, f"simulated, {EFFECT}": EFFECT}
-        for number, (name, effect) in enumerate(simulated.items()):
-            (own := Path(place) / str(number)).mkdir()
-            (recordings := own / "recordings").mkdir()
+        sets: list[tuple[str, Path]] = []
+        for effect in (None, EFFECT):
+            (recordings := Path(place) / f"recordings_{len(sets)}").mkdir()
             write_set(recordings, camera(effect))
-            rows.append(cells(name, cost(recordings, own), load()))
-            print("  ".join(rows[-1]), flush=True)
-        for recordings in arguments.recordings:
+            sets.append((f"simulated, {effect or 'no effect'}", recordings))
+        sets += [(recordings.name, recordings) for recordings in arguments.recordings]
+        for name, recordings in sets:
             (own := Path(place) / str(len(rows))).mkdir()
-            rows.append(cells(recordings.name, cost(recordings, own), load()))
+            rows.append(cells(name, cost(recordings, own), load()))
             print("  ".join(rows[-1]), flush=True)
     write_table(arguments, COLUMNS, rows, {}, CODE)
 

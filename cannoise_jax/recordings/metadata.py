@@ -26,6 +26,7 @@ from cannoise_jax.recordings.recording import (
     BadInput,
     Frames,
     Recording,
+    printable,
 )
 from cannoise_jax.recordings.stated_values import (
     LONGEST,
@@ -153,7 +154,7 @@ def make_recording(
 
 def folder_name(folder: Path) -> str:
     """The name of a folder as one of a camera: what no line can show of it is a question mark."""
-    return "".join(c if c.isprintable() else "?" for c in folder.absolute().name)[:LONGEST]
+    return printable(folder.absolute().name)[:LONGEST]
 
 
 def checked(recording: Recording) -> Recording:

@@ -53,6 +53,11 @@ def in_one_line(value: object) -> str:
     return " ".join(reprlib.repr(value).split())
 
 
+def printable(text: str) -> str:
+    """A text with a question mark for what no line can show, as names of files may hold."""
+    return "".join(c if c.isprintable() else "?" for c in text)
+
+
 class BadInput(ValueError):
     """Input that cannot be used: one line that names the file, what is wrong, and what to do about it."""
 

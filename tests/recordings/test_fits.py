@@ -6,7 +6,6 @@ import pytest
 from astropy.io import fits
 
 from cannoise_jax.recordings.fits import open_fits
-from cannoise_jax.recordings.fits_header import about_of, known_of
 from cannoise_jax.recordings.load import load_recording
 from cannoise_jax.recordings.recording import BadInput
 
@@ -112,21 +111,6 @@ def test_what_was_compressed_with_loss_is_refused(tmp_path, scale):
     else:
         read = load_recording(tmp_path / "a.fits.fz", cfa="MONO", **LEVELS)
         np.testing.assert_array_equal(np.asarray(read.frames)[0], data)
-
-
-def test_a_temperature_in_kelvin_is_not_used():
-    assert known_of({"CCD-TEMP": -10.0})["temperature_c"] == -10
-    assert known_of({"CCD-TEMP": 263.15})["temperature_c"] is None
-    assert (
-        about_of({"CCD-TEMP": 263.15})["doubt"]
-        == "CCD-TEMP 263.15: no temperature of a sensor in C: not used"
-    )
-
-
-def test_binning_in_either_spelling():
-    assert about_of({"XBINNING": 2, "YBINNING": 2})["binning"] == (2, 2)
-    assert about_of({"CCDSUM": "2 2"})["binning"] == (2, 2)
-    assert about_of({"CCDSUM": "1 1"})["binning"] is None
 
 
 @pytest.mark.parametrize("message", BAD)

@@ -39,16 +39,16 @@ Called = Callable[[int], tuple[str, str]]
 
 def _by_sign(j: Judgement, found: np.ndarray) -> Iterator[tuple[int, np.ndarray, int]]:
     """Where the recordings have more, and where less: which statistics, and the one that shows it best."""
-    for sign in (1, -1):
-        k = found[np.sign(j.z[found]) == sign]
-        if k.size:
-            yield sign, k, int(k[np.argmax(np.abs(j.z[k]))])
+    return _parted(j, found, j.z > 0)
 
 
 def _by_size(j: Judgement, found: np.ndarray) -> Iterator[tuple[int, np.ndarray, int]]:
     """The same of what may have either sign: where that of the recordings is larger, and where smaller."""
-    larger = np.abs(j.recorded[found]) > np.abs(j.simulated[found])
-    for sign, k in ((1, found[larger]), (-1, found[~larger])):
+    return _parted(j, found, np.abs(j.recorded) > np.abs(j.simulated))
+
+
+def _parted(j: Judgement, found: np.ndarray, more: np.ndarray) -> Iterator[tuple[int, np.ndarray, int]]:
+    for sign, k in ((1, found[more[found]]), (-1, found[~more[found]])):
         if k.size:
             yield sign, k, int(k[np.argmax(np.abs(j.z[k]))])
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from cannoise_jax.recordings.folders.groups import Group, seconds
 from cannoise_jax.recordings.folders.plan import CaptureGroups, Plan
+from cannoise_jax.recordings.recording import printable
 
 
 def text(plan: Plan) -> str:
@@ -23,12 +24,8 @@ def text(plan: Plan) -> str:
         ]
     lines += [f"note: {note}" for note in plan.notes]
     lines += [f"missing or contradictory: {problem}" for problem in plan.problems]
-    return "\n".join(shown(line) for line in lines)
-
-
-def shown(line: str) -> str:
-    """One line without what a terminal takes for orders, as names of files may hold."""
-    return "".join(c if c.isprintable() else "?" for c in " ".join(line.splitlines()))
+    # Names of files may hold line breaks, and what a terminal takes for orders.
+    return "\n".join(printable(" ".join(line.splitlines())) for line in lines)
 
 
 def _row(group: Group) -> tuple[str, str, str, str]:
