@@ -143,6 +143,16 @@ def noise_spread(frames, signal, black):
     return x, np.array([max((ratio > k).mean(), 0.5 / ratio.size) for k in x])
 
 
+def row_loudness(frames, signal, black):
+    """Temporal standard deviation of the pixels of each row."""
+    return np.arange(signal.shape[0]), np.sqrt(frames.var(axis=0, ddof=1).mean(axis=1))
+
+
+def column_loudness(frames, signal, black):
+    """Temporal standard deviation of the pixels of each column."""
+    return np.arange(signal.shape[1]), np.sqrt(frames.var(axis=0, ddof=1).mean(axis=0))
+
+
 def gap_to_neighbours(frames, signal, black):
     """Share of the values nearer than so many DN to the mean of their four neighbours of the same colour."""
     near = (frames[:, 4:, 2:-2] + frames[:, :-4, 2:-2] + frames[:, 2:-2, 4:] + frames[:, 2:-2, :-4]) / 4
@@ -203,6 +213,8 @@ KINDS: dict[str, tuple[Statistic, str, str, bool, bool]] = {
     "temporal": (temporal_correlation, "frames later", "correlation", False, True),
     "tail": (tail, "standard deviations", "share above", True, False),
     "spread": (noise_spread, "pixel's noise over median", "share above", True, False),
+    "row loudness": (row_loudness, "row", "rms of its pixels over time, DN", False, False),
+    "column loudness": (column_loudness, "column", "rms of its pixels over time, DN", False, False),
     "gaps": (gap_to_neighbours, "distance from the neighbours' mean, DN", "share nearer", False, False),
     "codes": (code_histogram, "code, DN", "count", True, False),
     "high codes": (high_codes, "code, DN", "count", True, False),

@@ -29,6 +29,7 @@ from cannoise_jax.signatures import (
     modulated,
     motion,
     moving_taps,
+    noisy_lines,
     patterns,
     peaks,
     pixels,

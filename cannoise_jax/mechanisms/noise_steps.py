@@ -10,10 +10,12 @@ from cannoise_jax.mechanisms.entry import DARK, FLAT, Case, Entry, Examples
 from cannoise_jax.physics.core import tukey_lambda
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Effect, Mechanism, Parameter
+from cannoise_jax.physics.core.places import Site, place
 from cannoise_jax.physics.core.poisson_gaussian import sample_normal
 from cannoise_jax.physics.transfer import maps as measured
 from cannoise_jax.physics.transfer.estimator import Estimator
 from cannoise_jax.physics.transfer.estimators import maps, noise
+from cannoise_jax.signatures.line_sums import Line
 from cannoise_jax.vocabulary import Term
 
 
@@ -107,12 +109,16 @@ HEAVY_TAILS = Mechanism(
 )
 
 
-def _spread_maps(key, values, context):
-    width = values["spread"]
-    # Log-normal with unit mean square: the mean variance over the pixels is the baseline's.
-    log_width = jnp.sqrt(jnp.log1p(jnp.asarray(width, jnp.float32) ** 2))
-    normal = sample_normal(key, (1, *context.size))
-    return {"factor": jnp.exp(log_width * normal - log_width**2)}
+def _spread_maps(over: Site):
+    def draw(key, values, context):
+        width = values["spread"]
+        # Log-normal with unit mean square: the mean variance over the pixels is the baseline's.
+        log_width = jnp.sqrt(jnp.log1p(jnp.asarray(width, jnp.float32) ** 2))
+        at = place(over)
+        normal = sample_normal(key, (1, *at.sites(context.size, (1, 1))))
+        return {"factor": jnp.exp(log_width * at.spread(normal, context.size) - log_width**2)}
+
+    return draw
 
 
 def _spread(noise, values, maps, context):
@@ -121,26 +127,56 @@ def _spread(noise, values, maps, context):
 
 def _spread_effect(values, maps, context):
     read = (context.gain_dn_per_e * context.read_noise_e) ** 2
-    return Effect(variance=((maps["factor"] ** 2 - 1) * read)[0])
+    return Effect(variance=jnp.broadcast_to((maps["factor"] ** 2 - 1) * read, (1, *context.size))[0])
 
 
-PIXEL_READ_NOISE_MAP = Mechanism(
-    id="pixel_read_noise_map",
-    point=Point("pixel", "signal", "pixel", "redrawn"),
-    parameters=(
-        Parameter("spread", "1", 0.3, 0.0, 3.0, "standard deviation over mean of the pixels' read noise"),
-    ),
-    equation=r"s_{ij} = s\,e^{wz_{ij}-w^2},\quad w^2 = \ln(1+\mathrm{spread}^2)",
-    sentence="Every pixel has its own source follower, and some are noisier than others, always the same "
-    "ones.",
+_READOUT = "El Gamal and Eltoukhy, CMOS Image Sensors, IEEE Circuits and Devices 21(3), 2005 (readout)"
+
+
+def _read_noise_map(over: Site, equation: str, sentence: str, **record) -> Mechanism:
+    """A fixed read noise of every pixel, row or column, log-normal."""
+    return Mechanism(
+        id=f"{over}_read_noise_map",
+        point=Point("pixel" if over == "pixel" else "readout", "signal", over, "redrawn"),
+        parameters=(
+            Parameter(
+                "spread", "1", 0.3, 0.0, 3.0, f"standard deviation over mean of the {over}s' read noise"
+            ),
+        ),
+        equation=equation + r",\quad w^2 = \ln(1+\mathrm{spread}^2)",
+        sentence=sentence,
+        needs=("dark", "burst"),
+        amplitude=lambda values, context: values["spread"],
+        baseline=_spread,
+        draw_maps=_spread_maps(over),
+        effect=_spread_effect,
+        **record,
+    )
+
+
+PIXEL_READ_NOISE_MAP = _read_noise_map(
+    "pixel",
+    r"s_{ij} = s\,e^{wz_{ij}-w^2}",
+    "Every pixel has its own source follower, and some are noisier than others, always the same ones.",
     reference="Nakamura, Image Sensors and Signal Processing for Digital Still Cameras, 2006, chapter 3 "
     "(pixel source follower)",
-    needs=("dark", "burst"),
     confused_with=("heavy_tails", "rts"),
-    amplitude=lambda values, context: values["spread"],
-    baseline=_spread,
-    draw_maps=_spread_maps,
-    effect=_spread_effect,
+)
+ROW_READ_NOISE_MAP = _read_noise_map(
+    "row",
+    r"s_{ij} = s\,e^{wz_i-w^2}",
+    "Rows that are read by different converters, or in other phases of the readout, are not equally noisy, "
+    "and always the same ones are.",
+    reference=_READOUT,
+    confused_with=("pixel_read_noise_map", "heavy_tails"),
+)
+COLUMN_READ_NOISE_MAP = _read_noise_map(
+    "column",
+    r"s_{ij} = s\,e^{wz_j-w^2}",
+    "Every column has its own amplifier and converter, and some are noisier than others, always the same "
+    "ones.",
+    reference=_READOUT,
+    confused_with=("pixel_read_noise_map", "heavy_tails", "column_noise"),
 )
 
 
@@ -166,6 +202,11 @@ POISSON_SKEW = Mechanism(
     amplitude=lambda values, context: values["strength"],
     baseline=_skew,
     effect=_skew_effect,
+)
+
+_LINES: tuple[tuple[Line, Mechanism, int], ...] = (
+    ("row", ROW_READ_NOISE_MAP, 56),
+    ("column", COLUMN_READ_NOISE_MAP, 57),
 )
 
 ENTRIES: tuple[Entry, ...] = (
@@ -226,6 +267,22 @@ ENTRIES: tuple[Entry, ...] = (
                             maps=measured.read_noise, spares=maps.pixel_read_noise_map),
         examples=Examples("spread", shown={"spread": 0.8}, dim=True, cases=(Case({"spread": 0.2}, DARK),
                           Case({"spread": 0.8}, DARK, note="strong"))),
+    ),
+    *(
+        Entry(
+            Term(f"{axis}_read_noise_map",
+                 f"Every {axis} has its own fixed read noise.",
+                 27, "sensor", "1", f"rms relative spread of the read noise over the {axis}s",
+                 ("pixel_read_noise_map",), listed=listed),
+            record,
+            needs="darks of three frames or more",
+            signatures=looks.always(
+                looks.noisy_lines.own_noise(axis, name=f"{axis}_spread", parameter="spread",
+                                            found_in=("pixel_spread", "kurtosis"), smooth=("comb",)),
+            ),
+            examples=Examples(f"{axis} loudness", shown={"spread": 0.8}, dim=True, strong={"spread": 0.5}),
+        )
+        for axis, record, listed in _LINES
     ),
     Entry(
         Term("poisson_skew",

@@ -213,9 +213,17 @@ def read_map(sets: tuple[Seen, ...]) -> Law:
     return grows(16 * (float(np.sum(np.square(information))) + float(single) / 2) / 2, 2)
 
 
-_PEAKED = 0.25
+PEAKED = 0.25
 """Relative spread of the noise from which on all pixels together have a law with a narrow peak: its excess
 kurtosis is then 3 (exp(4 w^2) - 1), 0.8, as `shape` has it for tails."""
+
+
+def placed_beyond(found: Found) -> Addition | None:
+    """Noise factors without a name, as noise beyond that of the quietest, DN."""
+    if found.pattern is None:
+        return None
+    beyond = np.maximum(found.pattern**2 - np.quantile(found.pattern, 0.05) ** 2, 0)
+    return placed(BLINKING)(found._replace(pattern=dark_sigma(found.fields) * np.sqrt(beyond)))
 
 
 def own_noise(
@@ -237,12 +245,6 @@ def own_noise(
         maps = {} if found.pattern is None else {"factor": as_map(found.pattern)}
         return Addition({parameter: found.score.amplitude}, maps)
 
-    def place(found: Found) -> Addition:
-        """Noise beyond that of the quietest, DN."""
-        assert found.pattern is not None
-        beyond = np.maximum(found.pattern**2 - np.quantile(found.pattern, 0.05) ** 2, 0)
-        return placed(BLINKING)(found._replace(pattern=dark_sigma(found.fields) * np.sqrt(beyond)))
-
     return Signature(
         name=name,
         axes=Axes("readout", "pixel", "frozen", "additive", "log-normal variance"),
@@ -251,11 +253,11 @@ def own_noise(
         absorb=unchanged,
         covers=covers,
         before=lambda score: before if score.payload else (),
-        hides=lambda score: smooth if score.amplitude > _PEAKED else (),
+        hides=lambda score: smooth if score.amplitude > PEAKED else (),
         predict=NO_LAW,
         pattern=pattern,
         simulate=simulate,
-        place=place,
+        place=placed_beyond,
         detectable=BY_SHIFT,
         least=read_map,
     )

@@ -175,6 +175,17 @@ def read_map(x):
     return float(np.sum(first**2) + second)
 
 
+def read_map_of_lines(along):
+    """What the pixels of a line share, beyond the squares of each alone."""
+
+    def form(x):
+        share = shares([(GAIN * READ) ** 2] * len(x))
+        each = sum(np.sum(s * (z**2 - 1) / 2, axis=0) for s, z in zip(share, standardised(x), strict=True))
+        return float(np.sum(each.sum(along) ** 2) - np.sum(each**2))
+
+    return form
+
+
 # Effects: the residuals with an effect of amplitude a, on the same noise.
 
 
@@ -224,10 +235,13 @@ def tailed(draw, a):
     return draw.residuals(read=scaled)
 
 
-def uneven(draw, a):
-    width = np.sqrt(np.log1p(a**2))
-    scale = np.exp(width * draw.rng.standard_normal(SIZE) - width**2)
-    return draw.residuals(read=[n * scale for n in draw.read])
+def uneven(size):
+    def noisier(draw, a):
+        width = np.sqrt(np.log1p(a**2))
+        scale = np.exp(width * draw.rng.standard_normal(size) - width**2)
+        return draw.residuals(read=[n * scale for n in draw.read])
+
+    return noisier
 
 
 def step(*_):
@@ -317,7 +331,9 @@ CASES = {
         adds(lambda rng, r, s, unit: GAIN * r.exposure_s),
     ),
     "heavy_tails": (lambda: kurtosis, tailed),
-    "pixel_read_noise_map": (lambda: read_map, uneven),
+    "pixel_read_noise_map": (lambda: read_map, uneven(SIZE)),
+    "row_read_noise_map": (lambda: read_map_of_lines(1), uneven((SIZE[0], 1))),
+    "column_read_noise_map": (lambda: read_map_of_lines(0), uneven((1, SIZE[1]))),
     "crosstalk": (lambda: lambda x: neighbours(x, 1), smeared),
     "in_camera_denoising": (lambda: lambda x: neighbours(x, 2), blended),
 }

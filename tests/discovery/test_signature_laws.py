@@ -115,6 +115,7 @@ UNTOLD = {
     "clocking, hits, corrected, lattice, taps": "zero without an effect, which recordings alone show",
     "tap_gains": "zero without steps",
     "kurtosis, light_tails, pixel_spread, taps_redrawn": "told of one side alone: zero on the other",
+    "row_spread, column_spread": "zero on the side where lines differ by less than chance",
     "tail_column, tail_row": "of the length that fits best; held against that of planted ones by themselves",
     "wave_redrawn_2, wave_redrawn_3": "the score of the first wave",
     "saturation, signal_step, iso_step, code_spacing, pile_up, variance_curve": "of levels and codes",

@@ -152,10 +152,11 @@ UNPLANTED = {
     "row_turns_temporal": "discovery/test_parity.py",
     "wave_redrawn_2, wave_redrawn_3": "signatures/test_waves.py",
     "tail_column, tail_row": "discovery/test_late_charge.py",
+    "row_spread, column_spread": "signatures/test_noisy_lines.py",
 }
 """Signatures that take something out which only recordings show: edges of scenes, a smooth mean, single
 electrons, what lies behind single pixels, frames in their order, pixels made of others, layouts of readouts,
-and what comes after another. Each with the tests of it."""
+noise that lines have, and what comes after another. Each with the tests of it."""
 
 
 def test_every_signature_that_takes_something_out_is_held_to_it_or_named():

@@ -273,7 +273,10 @@ NOISE = {
         c | {"gain": c["gain"] * (1 + p["error"]), "read": c["read"] / (1 + p["error"])}
     ),
     "read_noise_error": lambda c, p, m: c | {"read": c["read"] * (1 + p["error"])},
-    "pixel_read_noise_map": lambda c, p, m: c | {"read": c["read"] * m["factor"]},
+    **{
+        f"{over}_read_noise_map": lambda c, p, m: c | {"read": c["read"] * m["factor"]}
+        for over in ("pixel", "row", "column")
+    },
     "dual_gain": lambda c, p, m: (
         c
         if c["iso"] < p["iso_switch"]

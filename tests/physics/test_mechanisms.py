@@ -234,6 +234,8 @@ MAPS = {
         lambda rng, p, size: rng.binomial(1, p["fraction"], size) * -np.log(1 - rng.random(size)),
     ),
     "pixel_read_noise_map": ("factor", _spread_factors),
+    "row_read_noise_map": ("factor", lambda rng, p, size: _spread_factors(rng, p, (size[0], 1))),
+    "column_read_noise_map": ("factor", lambda rng, p, size: _spread_factors(rng, p, (1, size[1]))),
 }
 
 
