@@ -205,8 +205,8 @@ POISSON_SKEW = Mechanism(
 )
 
 _LINES: tuple[tuple[Line, Mechanism, int], ...] = (
-    ("row", ROW_READ_NOISE_MAP, 56),
-    ("column", COLUMN_READ_NOISE_MAP, 57),
+    ("row", ROW_READ_NOISE_MAP, 50),
+    ("column", COLUMN_READ_NOISE_MAP, 51),
 )
 
 ENTRIES: tuple[Entry, ...] = (
