@@ -201,6 +201,19 @@ def loud_pixels(rng: Rng, camera: Camera) -> Effect:
     return Effect(read=lambda z, shot, rng: z * factor)
 
 
+def loud_columns(rng: Rng, camera: Camera) -> Effect:
+    """Columns of unlike read noise, few of them much louder."""
+    factor = 1 + rng.uniform(0.1, 0.3) * (rng.exponential(size=(1, camera.size[1])) - 1)
+    return Effect(read=lambda z, shot, rng: z * factor)
+
+
+def loud_rows(rng: Rng, camera: Camera) -> Effect:
+    """Rows that converters take in turns, each of its own read noise."""
+    turns = rng.uniform(1 - rng.uniform(0.1, 0.3), 1, int(rng.integers(3, 9)))
+    factor = turns[np.arange(camera.size[0]) % turns.size][:, None]
+    return Effect(read=lambda z, shot, rng: z * factor)
+
+
 def jumping_offset(rng: Rng, camera: Camera) -> Effect:
     """The black level of each frame is its own."""
     sigma = camera.read_dn * rng.uniform(0.2, 0.6)
@@ -227,6 +240,8 @@ LISTED: dict[str, tuple[Make, tuple[str, ...]]] = {
     "sinusoid": (sinusoid, ("banding",)),
     "tails": (tails, ("heavy_tails",)),
     "loud_pixels": (loud_pixels, ("pixel_read_noise_map",)),
+    "loud_columns": (loud_columns, ("column_read_noise_map",)),
+    "loud_rows": (loud_rows, ("row_read_noise_map",)),
     "jumping_offset": (jumping_offset, ("offset_drift",)),
 }
 """Effects and the name that each should get."""

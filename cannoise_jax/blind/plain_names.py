@@ -10,10 +10,11 @@ ARGUABLE = {
     "tear": ("offset_drift",),
     "quadrants": ("offset_drift", "amplifier_drift"),
     "inl_wave": ("bookkeeping",),
+    "noisy_edges": ("column_read_noise_map",),
     "smoothed_colours": ("in_camera_denoising",),
 }
 """Names that are true of an effect without a name of its own: means of frames or the black level do move,
-columns are offset, rows are noisy. Any other is wrong."""
+columns are offset, rows are noisy, single columns louder. Any other is wrong."""
 BESIDE = {
     "uneven_rows": ("bookkeeping",),
     "slow_rows": ("offset_drift",),

@@ -277,8 +277,8 @@ ENTRIES: tuple[Entry, ...] = (
             record,
             needs="darks of three frames or more",
             signatures=looks.always(
-                looks.noisy_lines.own_noise(axis, name=f"{axis}_spread", parameter="spread",
-                                            found_in=("pixel_spread", "kurtosis"), smooth=("comb",)),
+                looks.noisy_lines.own_noise(axis, name=f"{axis}_spread", parameter="spread", smooth=("comb",),
+                                            of_pixels=("pixel_spread", "kurtosis", "telegraph")),
             ),
             examples=Examples(f"{axis} loudness", shown={"spread": 0.8}, dim=True, strong={"spread": 0.5}),
         )

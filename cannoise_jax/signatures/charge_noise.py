@@ -16,14 +16,15 @@ def louder(field: Fields, variance: np.ndarray) -> Fields:
         return field
     rest = _rest(field, variance)
     after = rest + variance
-    root = _growth(field, after)
     shot = ((field.shot * rest + variance) / after).astype(np.float32)
+    return of_noise(field, _growth(field, after), shot)
+
+
+def of_noise(field: Fields, root: Float[np.ndarray, "h w"], shot: Float[np.ndarray, "h w"]) -> Fields:
+    """The field where the noise is so many times what it was taken to be, with that share of shot noise."""
     static = None if field.static is None else field.static / root
     field = field._replace(
-        contrasts=field.contrasts / root,
-        sigma=field.sigma * root,
-        shot=shot,
-        static=static,
+        contrasts=field.contrasts / root, sigma=field.sigma * root, shot=shot, static=static
     )
     return field if static is None else _level_out(field, static)
 

@@ -11,7 +11,7 @@ from scipy import stats
 
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.signatures.added import as_map
-from cannoise_jax.signatures.charge_noise import by_charge, own_charge
+from cannoise_jax.signatures.charge_noise import by_charge, of_noise, own_charge
 from cannoise_jax.signatures.fields import Fields, helmert
 from cannoise_jax.signatures.handed import Addition, Found, Many
 from cannoise_jax.signatures.known_shape import darks
@@ -233,13 +233,13 @@ def _read_power(
 
 
 def without_spread(fields: tuple[Fields, ...], score: Score[float], *, axis: Line) -> tuple[Fields, ...]:
-    """The fields with contrasts in units of the noise that each line has."""
+    """The fields in units of the noise that each line has."""
     power = _read_power(fields, axis, score.payload)
 
     def own(f: Fields) -> Fields:
         read = np.clip(1 - f.shot - f.step**2 / 12 / f.sigma**2, 0, 1)
-        root = np.sqrt(1 + read * (power - 1)).astype(np.float32)
-        return f._replace(contrasts=f.contrasts / root) if len(f.contrasts) else f
+        square = (1 + read * (power - 1)).astype(np.float32)
+        return of_noise(f, np.sqrt(square), f.shot / square) if len(f.contrasts) else f
 
     return tuple(own(f) for f in fields)
 
@@ -254,11 +254,11 @@ def _least(sets: tuple[Seen, ...], axis: Line) -> Law:
 
 
 def own_noise(
-    axis: Line, *, name: str, parameter: str, found_in: tuple[str, ...], smooth: tuple[str, ...] = ()
+    axis: Line, *, name: str, parameter: str, of_pixels: tuple[str, ...], smooth: tuple[str, ...] = ()
 ) -> Signature:
-    """A read noise of its own for every row or column. found_in: signatures of the noise of single pixels,
-    which hold it as well. smooth: those that take the counts of codes to be as smooth as those of normal
-    noise."""
+    """A read noise of its own for every row or column. of_pixels: signatures of the noise of single pixels,
+    which hold it as well, each pixel by itself. smooth: those that take the counts of codes to be as smooth
+    as those of normal noise."""
 
     def pattern(fields: Many, score: Score, rng: np.random.Generator) -> np.ndarray:
         return np.sqrt(_read_power(fields, axis, score.payload, rng))
@@ -274,7 +274,8 @@ def own_noise(
         score=partial(spread_of_lines, axis=axis),
         absorb=partial(without_spread, axis=axis),
         covers=(),
-        found_in=found_in,
+        found_in=of_pixels,
+        before=lambda score: of_pixels,
         hides=lambda score: smooth if score.amplitude > PEAKED else (),
         predict=NO_LAW,
         pattern=pattern,
