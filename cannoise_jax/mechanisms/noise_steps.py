@@ -3,6 +3,9 @@ the read noise, pixel by pixel."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import jax.numpy as jnp
 
 from cannoise_jax.mechanisms import looks
@@ -13,9 +16,10 @@ from cannoise_jax.physics.core.mechanism import Effect, Mechanism, Parameter
 from cannoise_jax.physics.core.places import Site, place
 from cannoise_jax.physics.core.poisson_gaussian import sample_normal
 from cannoise_jax.physics.transfer import maps as measured
+from cannoise_jax.physics.transfer.estimate import Estimates
 from cannoise_jax.physics.transfer.estimator import Estimator
-from cannoise_jax.physics.transfer.estimators import maps, noise
-from cannoise_jax.signatures.line_sums import Line
+from cannoise_jax.physics.transfer.estimators import loud_lines, maps, noise
+from cannoise_jax.physics.transfer.loud_lines import Line
 from cannoise_jax.vocabulary import Term
 
 
@@ -204,9 +208,9 @@ POISSON_SKEW = Mechanism(
     effect=_skew_effect,
 )
 
-_LINES: tuple[tuple[Line, Mechanism, int], ...] = (
-    ("row", ROW_READ_NOISE_MAP, 50),
-    ("column", COLUMN_READ_NOISE_MAP, 51),
+_LINES: tuple[tuple[Line, Mechanism, Callable[..., Estimates], int], ...] = (
+    ("row", ROW_READ_NOISE_MAP, loud_lines.row_read_noise_map, 32),
+    ("column", COLUMN_READ_NOISE_MAP, loud_lines.column_read_noise_map, 33),
 )
 
 ENTRIES: tuple[Entry, ...] = (
@@ -253,6 +257,24 @@ ENTRIES: tuple[Entry, ...] = (
         examples=Examples("tail", shown={"tukey_lambda": -0.15}, dim=True,
                           cases=(Case({"tukey_lambda": -0.05}, DARK),)),
     ),
+    *(
+        Entry(
+            Term(f"{axis}_read_noise_map",
+                 f"Every {axis} has its own fixed read noise.",
+                 27, "sensor", "1", f"rms relative spread of the read noise over the {axis}s",
+                 ("pixel_read_noise_map",), listed=listed),
+            record,
+            needs="darks of three frames or more",
+            signatures=looks.always(
+                looks.noisy_lines.own_noise(axis, name=f"{axis}_spread", parameter="spread", smooth=("comb",),
+                                            of_pixels=("pixel_spread", "kurtosis", "telegraph")),
+            ),
+            estimator=Estimator(measure, least=0.01, maps=partial(measured.read_noise_of_lines, axis=axis)),
+            examples=Examples(f"{axis} loudness", shown={"spread": 0.8}, dim=True, strong={"spread": 0.5},
+                              cases=(Case({"spread": 0.2}, DARK),)),
+        )
+        for axis, record, measure, listed in _LINES
+    ),
     Entry(
         Term("pixel_read_noise_map",
              "Every pixel has its own fixed read noise.",
@@ -268,26 +290,10 @@ ENTRIES: tuple[Entry, ...] = (
         examples=Examples("spread", shown={"spread": 0.8}, dim=True, cases=(Case({"spread": 0.2}, DARK),
                           Case({"spread": 0.8}, DARK, note="strong"))),
     ),
-    *(
-        Entry(
-            Term(f"{axis}_read_noise_map",
-                 f"Every {axis} has its own fixed read noise.",
-                 27, "sensor", "1", f"rms relative spread of the read noise over the {axis}s",
-                 ("pixel_read_noise_map",), listed=listed),
-            record,
-            needs="darks of three frames or more",
-            signatures=looks.always(
-                looks.noisy_lines.own_noise(axis, name=f"{axis}_spread", parameter="spread", smooth=("comb",),
-                                            of_pixels=("pixel_spread", "kurtosis", "telegraph")),
-            ),
-            examples=Examples(f"{axis} loudness", shown={"spread": 0.8}, dim=True, strong={"spread": 0.5}),
-        )
-        for axis, record, listed in _LINES
-    ),
     Entry(
         Term("poisson_skew",
              "Shot noise is Poisson, with its skewness, where a Gaussian was assumed.",
-             2, "sensor", "1", "strength: 0 Gaussian, 1 Poisson", listed=32),
+             2, "sensor", "1", "strength: 0 Gaussian, 1 Poisson", listed=36),
         POISSON_SKEW,
         needs="a simulator whose shot noise is Gaussian (that of the baseline is Poisson)",
         examples=Examples("tail", shown={"strength": 0.0}, dim=True),

@@ -204,7 +204,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("excess_noise",
              "Random gain of an electron multiplier raises the shot noise.",
-             3, "sensor", "1", "excess noise factor F^2, minus one", listed=33),
+             3, "sensor", "1", "excess noise factor F^2, minus one", listed=37),
         EXCESS_NOISE,
         needs="flats at five levels and the gain from another source, such as single-photon peaks",
         signatures=lambda recorded: (

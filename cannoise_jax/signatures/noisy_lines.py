@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
-from scipy import stats
 
+from cannoise_jax.physics.transfer.loud_lines import Line, Loudness, Squares, loudness, within_lines
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.signatures.added import as_map
 from cannoise_jax.signatures.charge_noise import by_charge, of_noise, own_charge
@@ -16,52 +14,13 @@ from cannoise_jax.signatures.fields import Fields, helmert
 from cannoise_jax.signatures.handed import Addition, Found, Many
 from cannoise_jax.signatures.known_shape import darks
 from cannoise_jax.signatures.least import Law, Seen, grows
-from cannoise_jax.signatures.line_sums import Line
 from cannoise_jax.signatures.pixels import PEAKED, placed_beyond, read_share
-from cannoise_jax.signatures.score import Score, chi2_log_sf
+from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import BY_SHIFT, NO_LAW, Axes, Signature
 from cannoise_jax.signatures.squares import READS
 
-_PARTS = 8
-"""Pieces of a line, whose scatter says how well its noise is known: whatever the pixels' own noise is, and
-however neighbours are alike."""
-_FEWEST = 8
-"""Pixels of a piece, and lines beyond the smooth terms, that say anything."""
-_SMOOTH = 6
-"""Waves over all lines that are no part of it: dark charge, and light, may make noise that grows smoothly."""
-_CAPPED = 1e-3
-"""Chance of a pixel whose sum of squares counts as no more than this: those that blink are no part of it."""
-
-
-_LOUDEST = 3.0
-"""Noise power of a line over that of most, up to which it is told in full."""
 _QUIETEST = 0.05
 """Power of the read noise of a line over the mean that it has at least: rounding is known but roughly."""
-_PLAIN = 2.0
-"""Standard errors from which on lines are taken to be louder in some frames than in others."""
-
-
-class Loudness(NamedTuple):
-    """Logarithm of the noise power of every line beyond what is smooth over the lines, and of its error the
-    variance. known: lines of pixels enough; freedom: of the lines, once what is smooth is taken out."""
-
-    logs: Float[np.ndarray, "k"]
-    error: float
-    known: Bool[np.ndarray, "k"]
-    freedom: int
-    pieces: int
-
-    @property
-    def variance(self) -> float:
-        """Of the true logarithms."""
-        return max(float(np.sum(self.logs**2)) / self.freedom - self.error, 0.0)
-
-
-class _Sums(NamedTuple):
-    """Sums of squares of every pixel over some contrasts `[k, n]`, and how many those are."""
-
-    squares: Float[np.ndarray, "k n"]
-    freedom: int
 
 
 def _half_contrasts(frames: int) -> tuple[np.ndarray, np.ndarray]:
@@ -73,7 +32,7 @@ def _half_contrasts(frames: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _sums(
     chosen: list[Fields], charge: np.ndarray | None, usable: np.ndarray, axis: Line
-) -> tuple[_Sums, _Sums, _Sums]:
+) -> tuple[Squares, Squares, Squares]:
     """Of all contrasts, of one half of the frames and of the other, once what the pixels of a line that are
     of one mosaic site share in each is taken out: noise of whole lines is another matter. Of recordings of
     few frames every second one is of the other half."""
@@ -81,7 +40,7 @@ def _sums(
     for k, f in enumerate(chosen):
         own = f.contrasts * usable
         for at in SITES:
-            own[:, *at] = _within_lines(own[:, *at], usable[at], axis)
+            own[:, *at] = within_lines(own[:, *at], usable[at], axis)
         parts = {0: own}
         if f.frames < 4:
             parts[1 + k % 2] = own
@@ -93,104 +52,26 @@ def _sums(
         for part, values in parts.items():
             totals[part] += np.einsum("nij,nij->ij", values, values) / level
             freedom[part] += len(values)
-    whole, first, second = (
-        _Sums(t if axis == "row" else t.T, n) for t, n in zip(totals, freedom, strict=True)
-    )
+    whole, first, second = (Squares(t, n) for t, n in zip(totals, freedom, strict=True))
     return whole, first, second
 
 
-def _within_lines(
-    values: Float[np.ndarray, "n h w"], usable: Bool[np.ndarray, "h w"], axis: Line
-) -> np.ndarray:
-    """Less what rows and columns share, to which no pixel adds more than three standard deviations: one far
-    out would make its whole line louder. Twice, for lines that share more than that."""
-    for along in (1, 2, 1, 2) if axis == "row" else (2, 1, 2, 1):
-        counts = np.maximum(usable.sum(along - 1, keepdims=True), 1)
-        values = (values - np.clip(values, -3, 3).sum(along, keepdims=True) / counts) * usable
-    return values
-
-
-def _bounded(power: np.ndarray, usable: np.ndarray, freedom: int) -> np.ndarray:
-    """The powers `[k, n]`, none more than `_LOUDEST` times what chance gives once in a thousand: one
-    limit for all lines, since one of their own would be of what their pixels share."""
-    law = stats.chi2(freedom, scale=1 / freedom)
-    typical = float(np.median(power[usable])) / float(law.median())
-    return np.minimum(power, _LOUDEST * float(law.isf(_CAPPED)) * typical)
-
-
-class _Parted(NamedTuple):
-    """Logarithms of the noise power of lines, beyond what is smooth over them, mean squares of those and of
-    what pieces of lines differ by beside, each per piece."""
-
-    rough: Float[np.ndarray, "k"]
-    of_lines: float
-    of_pieces: float
-
-
-def _parted(logs: Float[np.ndarray, "k s"], terms: np.ndarray) -> _Parted:
-    """Two-way analysis of variance of pieces of lines."""
-    lines, pieces = logs.shape
-    means = logs.mean(1)
-    rough = means - terms @ np.linalg.lstsq(terms, means, rcond=None)[0]
-    apart = logs - means[:, None] - logs.mean(0) + logs.mean()
-    return _Parted(
-        rough,
-        float(np.sum(rough**2)) / (lines - terms.shape[1]),
-        float(np.sum(apart**2)) / ((lines - 1) * (pieces - 1)) / pieces,
-    )
-
-
-def loudness(fields: Many, axis: Line) -> Loudness | None:
+def _look(fields: Many, axis: Line) -> Loudness | None:
     """How loud the lines are in the darks; None where too little tells."""
     chosen = darks(fields)
-    if sum(len(f.contrasts) for f in chosen) < 2:
+    if not chosen:
         return None
     usable = np.all([f.usable for f in chosen], axis=0)
     whole, *halves = _sums(chosen, own_charge(fields), usable, axis)
-    usable = usable if axis == "row" else usable.T
-    pieces = min(_PARTS, usable.shape[1] // (2 * _FEWEST))
-    if pieces < 2:
-        return None
-    starts = np.linspace(0, usable.shape[1], pieces + 1).astype(int)[:-1]
-    count = np.add.reduceat(usable.astype(float), starts, axis=1)
-    known = count.min(1) >= _FEWEST
-    terms = _smooth_terms(np.flatnonzero(known), len(known))
-    spare = int(known.sum()) - terms.shape[1]
-    if spare < _FEWEST:
-        return None
-
-    def logs(sums: _Sums) -> np.ndarray:
-        power = _bounded(sums.squares / max(sums.freedom, 1), usable, max(sums.freedom, 1))
-        mean = np.add.reduceat(power * usable, starts, axis=1)[known] / count[known]
-        return np.log(np.maximum(mean, 1e-6))
-
-    found = _parted(logs(whole), terms)
-    # What is louder in some frames alone is no noise of a line that stays.
-    moving = 0.0
-    if all(h.freedom for h in halves):
-        turns = _parted((logs(halves[0]) - logs(halves[1])) / 2, terms)
-        beyond = turns.of_lines - turns.of_pieces
-        moving = beyond if beyond > _PLAIN * turns.of_pieces * np.sqrt(2 / spare) else 0.0
-    rough = np.zeros(len(known))
-    rough[known] = found.rough
-    return Loudness(rough, max(found.of_pieces + moving, 1e-12), known, spare, pieces)
-
-
-def _smooth_terms(places: np.ndarray, lines: int) -> Float[np.ndarray, "n k"]:
-    """Waves over the lines, and every second one: the baseline has a noise of every mosaic site."""
-    waves = np.cos(np.pi * np.outer((places + 0.5) / lines, np.arange(_SMOOTH + 1)))
-    return np.column_stack([waves, (-1.0) ** places])
+    return loudness(whole, (halves[0], halves[1]), usable, axis)
 
 
 def spread_of_lines(fields: tuple[Fields, ...], *, axis: Line) -> Score[float] | None:
     """A read noise of its own for every line (log-normal): analysis of variance of the noise power of pieces
     of lines. Payload: variance of the lines' logarithms of the noise power."""
-    found = loudness(fields, axis)
+    found = _look(fields, axis)
     if found is None:
         return None
-    ratio = float(np.sum(found.logs**2)) / found.freedom / found.error
-    tail = float(stats.f.sf(ratio, found.freedom, found.freedom * (found.pieces - 1)))
-    log_p = float(np.log(tail)) if tail > 1e-200 else chi2_log_sf(ratio * found.freedom, found.freedom)
     variance, error = found.variance, found.error
     gain = 0.5 * float(
         np.sum(found.logs**2) / error * variance / (error + variance)
@@ -203,7 +84,7 @@ def spread_of_lines(fields: tuple[Fields, ...], *, axis: Line) -> Score[float] |
     doubt = scale**2 * (variance + error) * np.sqrt(2 / found.freedom) / (2 * max(width, one_sigma))
     largest = np.argsort(-np.abs(found.logs))[:8]
     return Score(
-        log_p=min(log_p, 0.0),
+        log_p=found.chance,
         payload=variance,
         gain=max(gain, 0.0),
         penalty=0.5 * float(np.log(found.freedom)),
@@ -220,7 +101,7 @@ def _read_power(
     fields: Many, axis: Line, variance: float, rng: np.random.Generator | None = None
 ) -> np.ndarray:
     """Power of the read noise of every line over the mean: what is known of it, or with `rng` a draw."""
-    found = loudness(fields, axis)
+    found = _look(fields, axis)
     logs = np.zeros(fields[0].mean.shape[0 if axis == "row" else 1])
     if found is not None and variance > 0:
         share = np.where(found.known, variance / (variance + found.error), 0.0)

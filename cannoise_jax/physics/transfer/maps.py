@@ -10,6 +10,7 @@ Hot and telegraph pixels are those that are more likely so than not.
 from __future__ import annotations
 
 import dataclasses
+import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -30,6 +31,7 @@ from cannoise_jax.physics.transfer.estimators import charge
 from cannoise_jax.physics.transfer.estimators import glow as glows
 from cannoise_jax.physics.transfer.estimators import telegraph as telegraph_pixels
 from cannoise_jax.physics.transfer.estimators.light_alone import light_alone
+from cannoise_jax.physics.transfer.estimators.loud_lines import lines_of
 from cannoise_jax.physics.transfer.estimators.maps import (
     column_part,
     offset_pattern,
@@ -46,6 +48,7 @@ from cannoise_jax.physics.transfer.estimators.pick import (
 )
 from cannoise_jax.physics.transfer.fit import robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics
+from cannoise_jax.physics.transfer.loud_lines import Line
 from cannoise_jax.physics.transfer.spatial import temporal_mean_square
 from cannoise_jax.physics.transfer.views import pixel_variance
 from cannoise_jax.recordings.packing import site
@@ -257,6 +260,26 @@ def column_pattern(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarra
     return {"field": _lines(without_step(column_offsets(dark)), values["sigma_dn"], seen.draw)[None, None]}
 
 
+def read_noise_of_lines(values: Mapping[str, Any], seen: Seen, *, axis: Line) -> dict[str, np.ndarray]:
+    """The read noise of rows or columns over that of the baseline."""
+    dark = darkest(seen.statistics)
+    found = None if dark is None else lines_of(dark, axis, seen.baseline.gain)
+    if found is None:
+        return {}
+    width = 2 * float(np.sqrt(np.log1p(values["spread"] ** 2)))
+    noise = np.where(found.known, found.error, 1e6)
+    logs = width * shrunk(found.logs, width, noise, seen.draw(found.logs.shape))
+    factor = np.exp(logs / 2)
+    factor = factor / np.sqrt(np.mean(factor**2))
+    return {"factor": factor.reshape((1, -1, 1) if axis == "row" else (1, 1, -1))}
+
+
+def _of_lines(seen: Seen) -> np.ndarray | float:
+    """Power of the read noise by the mechanisms of rows and columns before in the chain."""
+    factors = (np.asarray(f.maps["factor"])[0] for f in seen.known if "factor" in f.maps)
+    return math.prod((factor**2 for factor in factors), start=1.0)
+
+
 def read_noise(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
     """The pixels' read noise over that of the baseline."""
     dark = darkest(seen.statistics)
@@ -271,7 +294,7 @@ def read_noise(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
         square, _ = robust_mean_square(pixel_variance(dark, c), dark.dof)
         rounding = dark.code_step**2 / 12
         site(ratio, c)[...] = (pixel_variance(dark, c) - site(jumps, c) - rounding) / (square - rounding)
-    ratio = np.maximum(ratio, 0.05)
+    ratio = np.maximum(ratio / _of_lines(seen), 0.05)
     logs = np.log(ratio) - (special.digamma(half) - np.log(half)) + width**2 / 2
     unit = shrunk(logs, width, float(special.polygamma(1, half)), seen.draw(logs.shape))
     factor = np.where(jumps > 0, 1.0, np.exp(width / 2 * unit - width**2 / 4))

@@ -155,7 +155,7 @@ def pixel_read_noise_map(
 ) -> Estimates:
     """spread (std over mean) of the pixels' read noise, from what the log variances of two halves of the
     frames have in common: cov(ln v1, ln v2) = 4 w^2 for log-normal read noise, whatever the shape of the
-    noise, for the halves share nothing but the pixel.
+    noise, for the halves share nothing but the pixel. What pixels of a line share is no part of it.
 
     without: pixels to leave out, as those that are known for telegraph pixels. Warm pixels, whose own charge
     explains their noise, are left out as well.
@@ -175,7 +175,7 @@ def pixel_read_noise_map(
         keep = ~site(odd if without is None else odd | without, c)
         if keep.sum() < _FEWEST:
             return _NO_PIXELS
-        logs = [site(v, c)[keep] - site(v, c)[keep].mean() for v in halves]
+        logs = [_within_lines(site(v, c), keep) for v in halves]
         # Every way to halve the frames measures the same; their mean is a little surer than one alone.
         products.append(sum(a * b for a, b in zip(logs[::2], logs[1::2], strict=True)) / (len(logs) // 2))
         means.append(float(pixel_variance(dark, c)[keep].mean()))
@@ -194,6 +194,17 @@ def pixel_read_noise_map(
     value, low, high = (float(np.interp(w, seen, spread)) for w in (width.value, *width.ci90))
     slope = float(np.interp(width.value, seen, np.gradient(spread, seen)))
     return {"spread": Estimate(value, width.stderr * slope, (low, high), width.chance)}
+
+
+def _within_lines(values: Float[np.ndarray, "h w"], keep: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "n"]:
+    """Those that are kept, less the means of their channel, row and column, with the variance that they have
+    without."""
+    values = np.where(keep, values - values[keep].mean(), 0.0)
+    for axis in (0, 1):
+        counts = np.maximum(keep.sum(axis, keepdims=True), 1)
+        values -= np.where(keep, values.sum(axis, keepdims=True) / counts, 0.0)
+    lines = np.count_nonzero(keep.any(0)) + np.count_nonzero(keep.any(1)) - 1
+    return values[keep] * np.sqrt(keep.sum() / max(keep.sum() - lines, 1))
 
 
 _POINTS, _WEIGHTS = np.polynomial.hermite_e.hermegauss(80)

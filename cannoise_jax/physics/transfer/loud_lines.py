@@ -1,0 +1,137 @@
+"""How loud rows or columns are over time, beside the noise of the pixels in them."""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy import stats
+
+Line = Literal["row", "column"]
+_PARTS = 8
+"""Pieces of a line, whose scatter says how well its noise is known: whatever the pixels' own noise is, and
+however neighbours are alike."""
+_FEWEST = 8
+"""Pixels of a piece, and lines beyond the smooth terms, that say anything."""
+_SMOOTH = 6
+"""Waves over all lines that are no part of it: dark charge, and light, may make noise that grows smoothly."""
+_CAPPED = 1e-3
+"""Chance of a pixel whose sum of squares counts as no more than this: those that blink are no part of it."""
+_LOUDEST = 3.0
+"""Noise power of a line over that of most, up to which it is told in full."""
+_PLAIN = 2.0
+"""Standard errors from which on lines are taken to be louder in some frames than in others."""
+
+
+class Squares(NamedTuple):
+    """Sums of squares of every pixel over time, in units of the noise, what lines share in each frame taken
+    out, and their degrees of freedom."""
+
+    squares: Float[np.ndarray, "h w"]
+    freedom: int
+
+
+class Loudness(NamedTuple):
+    """Logarithm of the noise power of every line beyond what is smooth over the lines, and of its error the
+    variance. known: lines of pixels enough; freedom: of the lines, once what is smooth is taken out."""
+
+    logs: Float[np.ndarray, "k"]
+    error: float
+    known: Bool[np.ndarray, "k"]
+    freedom: int
+    pieces: int
+
+    @property
+    def variance(self) -> float:
+        """Of the true logarithms."""
+        return max(float(np.sum(self.logs**2)) / self.freedom - self.error, 0.0)
+
+    @property
+    def chance(self) -> float:
+        """With which lines that are equally loud differ as much, natural logarithm."""
+        ratio = float(np.sum(self.logs**2)) / self.freedom / self.error
+        tail = float(stats.f.sf(ratio, self.freedom, self.freedom * (self.pieces - 1)))
+        if tail > 1e-200:
+            return float(np.log(tail))
+        return float(stats.norm.logsf((ratio - 1) * np.sqrt(self.freedom / 2)))
+
+
+def within_lines(
+    values: Float[np.ndarray, "n h w"], usable: Bool[np.ndarray, "h w"], axis: Line
+) -> np.ndarray:
+    """Less what rows and columns share, to which no pixel adds more than three standard deviations: one far
+    out would make its whole line louder. Twice, for lines that share more than that."""
+    for along in (1, 2, 1, 2) if axis == "row" else (2, 1, 2, 1):
+        counts = np.maximum(usable.sum(along - 1, keepdims=True), 1)
+        values = (values - np.clip(values, -3, 3).sum(along, keepdims=True) / counts) * usable
+    return values
+
+
+def _bounded(power: np.ndarray, usable: np.ndarray, freedom: int) -> np.ndarray:
+    """The powers `[k, n]`, none more than `_LOUDEST` times what chance gives once in a thousand: one
+    limit for all lines, since one of their own would be of what their pixels share."""
+    law = stats.chi2(freedom, scale=1 / freedom)
+    typical = float(np.median(power[usable])) / float(law.median())
+    return np.minimum(power, _LOUDEST * float(law.isf(_CAPPED)) * typical)
+
+
+class _Parted(NamedTuple):
+    """Logarithms of the noise power of lines, beyond what is smooth over them, mean squares of those and of
+    what pieces of lines differ by beside, each per piece."""
+
+    rough: Float[np.ndarray, "k"]
+    of_lines: float
+    of_pieces: float
+
+
+def _parted(logs: Float[np.ndarray, "k s"], terms: np.ndarray) -> _Parted:
+    """Two-way analysis of variance of pieces of lines."""
+    lines, pieces = logs.shape
+    means = logs.mean(1)
+    rough = means - terms @ np.linalg.lstsq(terms, means, rcond=None)[0]
+    apart = logs - means[:, None] - logs.mean(0) + logs.mean()
+    return _Parted(
+        rough,
+        float(np.sum(rough**2)) / (lines - terms.shape[1]),
+        float(np.sum(apart**2)) / ((lines - 1) * (pieces - 1)) / pieces,
+    )
+
+
+def loudness(
+    whole: Squares, halves: tuple[Squares, Squares], usable: Bool[np.ndarray, "h w"], axis: Line
+) -> Loudness | None:
+    """How loud the lines are; None where too little tells. halves: of one half of the frames and of the
+    other; what is louder in some frames alone is no noise of a line that stays."""
+    usable = usable if axis == "row" else usable.T
+    pieces = min(_PARTS, usable.shape[1] // (2 * _FEWEST))
+    if pieces < 2 or whole.freedom < 2:
+        return None
+    starts = np.linspace(0, usable.shape[1], pieces + 1).astype(int)[:-1]
+    count = np.add.reduceat(usable.astype(float), starts, axis=1)
+    known = count.min(1) >= _FEWEST
+    terms = _smooth_terms(np.flatnonzero(known), len(known))
+    spare = int(known.sum()) - terms.shape[1]
+    if spare < _FEWEST:
+        return None
+
+    def logs(of: Squares) -> np.ndarray:
+        squares = of.squares if axis == "row" else of.squares.T
+        power = _bounded(squares / of.freedom, usable, of.freedom)
+        mean = np.add.reduceat(power * usable, starts, axis=1)[known] / count[known]
+        return np.log(np.maximum(mean, 1e-6))
+
+    found, moving = _parted(logs(whole), terms), 0.0
+    if all(h.freedom for h in halves):
+        turns = _parted((logs(halves[0]) - logs(halves[1])) / 2, terms)
+        beyond = turns.of_lines - turns.of_pieces
+        moving = beyond if beyond > _PLAIN * turns.of_pieces * np.sqrt(2 / spare) else 0.0
+    rough = np.zeros(len(known))
+    rough[known] = found.rough
+    return Loudness(rough, max(found.of_pieces + moving, 1e-12), known, spare, pieces)
+
+
+def _smooth_terms(places: np.ndarray, lines: int) -> Float[np.ndarray, "n k"]:
+    """Waves over the lines, and every second one: the baseline has a noise of every mosaic site."""
+    waves = np.cos(np.pi * np.outer((places + 0.5) / lines, np.arange(_SMOOTH + 1)))
+    return np.column_stack([waves, (-1.0) ** places])
