@@ -209,7 +209,7 @@ def _between(
 
 
 level = _between(0, _HIGHEST_DN, "give a value in DN, above 0 and at most 65535", open_=True)
-celsius = _between(COLDEST_C, HOTTEST_C, "give degrees Celsius, -273.15 or more, as 20")
+celsius = _between(COLDEST_C, HOTTEST_C, f"give degrees Celsius, {COLDEST_C:g} to {HOTTEST_C:g}, as 20")
 decibels = _between(-MOST_DB, MOST_DB, f"give a gain in dB, at most {MOST_DB:g}")
 seconds = _between(
     0, LONGEST_S, f"give a time in seconds, 0 or {SHORTEST_S:g} to {LONGEST_S:g}", smallest=SHORTEST_S

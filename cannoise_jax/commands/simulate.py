@@ -135,8 +135,8 @@ def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording
     iso = float(np.asarray(model.iso)[0]) if arguments.iso is None else arguments.iso
     if arguments.gain is not None:
         iso = iso_of_gain(arguments.gain)
-    settings = Settings(iso, arguments.exposure, arguments.temperature, arguments.frames)
     _check_noise(model, iso, f"--iso {iso:.9g}" if arguments.gain is None else f"--gain {arguments.gain:g}")
+    settings = Settings(iso, arguments.exposure, arguments.temperature, arguments.frames)
     clean_scenes = scenes(arguments.clean, model.cfa, arguments.size or _stored_size(model))
     paths = [arguments.out / _name(clean, settings, arguments.gain, arguments.unit) for clean in clean_scenes]
     for clean, path in zip(clean_scenes, paths, strict=True):

@@ -23,8 +23,8 @@ LIT = ("scene", "flat")
 REFERENCES = ("independent", "burst_mean")
 COLDEST_C = -273.15
 """Absolute zero."""
-HOTTEST_C = 1000.0
-"""What is hotter is no sensor, and none of its temperatures."""
+HOTTEST_C = 150.0
+"""Silicon records nothing beyond; what is higher is in kelvin, or a slip."""
 SHORTEST_S, LONGEST_S = 1e-9, 1e6
 """Exposures beyond are in another unit, or slips; biases may state 0."""
 LEAST = 2.0**-126

@@ -158,7 +158,10 @@ def test_bad_input_is_one_line_and_status_2(arguments, message, sensor, tmp_path
         ),
         *(("--iso", v, "a number above 0, at most 1e+09") for v in ("0", "inf", "nan", "2e9", "1e-320")),
         *(("--gain", v, "a gain in dB, at most 200") for v in ("inf", "nan", "-201", "loud")),
-        *(("--temperature", v, "degrees Celsius, -273.15 or more") for v in ("nan", "inf", "-300", "1e-320")),
+        *(
+            ("--temperature", v, "degrees Celsius, -273.15 to 150")
+            for v in ("nan", "inf", "-300", "1000", "1e-320")
+        ),
         *(
             (flag, v, "a whole number from 0 to 4294967295")
             for flag in ("--seed", "--unit")

@@ -17,8 +17,8 @@ import numpy as np
 
 from cannoise_jax.physics.core.grammar import Point, contradiction
 from cannoise_jax.physics.core.mechanism import Mechanism, Parameter, Scaling
-from cannoise_jax.physics.core.settings import Fitted, IsoTable, Settings
-from cannoise_jax.recordings.recording import CFA_PATTERNS, COLDEST_C, LEAST, MOST, in_one_line
+from cannoise_jax.physics.core.settings import Fitted, IsoTable, Settings, check_numbers
+from cannoise_jax.recordings.recording import CFA_PATTERNS, LEAST, MOST, in_one_line
 
 HIGHEST_CODE = 65535
 """Of 16 bits, as frames are stored."""
@@ -215,20 +215,16 @@ def check_key(key: Any) -> None:
 
 
 def check_taken(clean: Any, settings: Settings) -> None:
-    """What is recorded and how: a finite mosaic [H, W], an ISO above 0, a time from 0, at least one frame."""
+    """What is recorded and how: a finite mosaic [H, W], and one setting (see `check_numbers`)."""
     if not isinstance(settings, Settings):
         raise TypeError(f"settings is a {type(settings).__name__}: expected Settings(iso=..., frames=...)")
-    iso, seconds = known(settings.iso, "iso"), known(settings.exposure_s, "exposure_s")
-    if iso is not None and not LEAST <= iso <= MOST:
-        raise ValueError(f"iso must be above 0, at most {MOST:g}, got {iso:g}")
-    if seconds is not None and not seconds >= 0:
-        raise ValueError(f"exposure_s must be 0 or more, got {seconds:g}")
-    if settings.temperature_c is not None:
-        celsius = known(settings.temperature_c, "temperature_c")
-        if celsius is not None and not celsius >= COLDEST_C:
-            raise ValueError(f"temperature_c must be {COLDEST_C:g} or more, got {celsius:g}")
-    if not is_whole(settings.frames, 2**31 - 1) or settings.frames < 1:
-        raise ValueError(f"frames must be a whole number from 1, got {reprlib.repr(settings.frames)}")
+    check_numbers(settings)  # again: what comes out of a tree of JAX was not checked
+    for name in ("iso", "exposure_s", "temperature_c"):
+        value = getattr(settings, name)
+        if value is None and name != "temperature_c":  # among the axes of vmap None is one
+            raise ValueError(f"{name} is None: give a number")
+        if np.size(value) != 1:
+            raise ValueError(f"{name} has {np.size(value)} values: give one, and jax.vmap for several")
     shape = np.shape(clean)
     if len(shape) != 2 or 0 in shape:
         raise ValueError(f"clean must be a mosaic [H, W], got shape {shape}")
