@@ -17,7 +17,8 @@ import numpy as np
 
 from cannoise_jax.physics.core.grammar import Point, contradiction
 from cannoise_jax.physics.core.mechanism import Mechanism, Parameter, Scaling
-from cannoise_jax.physics.core.settings import Fitted, IsoTable, Settings, check_numbers
+from cannoise_jax.physics.core.setting_numbers import check_numbers
+from cannoise_jax.physics.core.settings import Fitted, IsoTable, Settings
 from cannoise_jax.recordings.recording import CFA_PATTERNS, LEAST, MOST, in_one_line
 
 HIGHEST_CODE = 65535

@@ -201,7 +201,7 @@ def _with_entry(
         name: _parameter(v, f"{id}: {name}")
         for name, v in entry_of(entry, "parameters", dict, f"{id}: ").items()
     }
-    reserved = {"scaling", "maps", "point"} & set(parameters)
+    reserved = registry.RESERVED & set(parameters)
     if reserved:
         raise ValueError(f"{id} has no parameter {reserved.pop()}")
     point = _point(id, entry.get("grammar"))
@@ -221,5 +221,6 @@ def _with_entry(
         scaling=_scaling(id, entry.get("scaling", {})),
         maps={name: jnp.asarray(maps[key]) for name, key in named.items()},
         point=point,
+        again=True,
         **parameters,
     )

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import reprlib
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -18,30 +17,11 @@ from cannoise_jax.physics.core import registry
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Context, Mechanism, Scaling, scaling_factor
 from cannoise_jax.physics.core.poisson_gaussian import electrons_from_nlf
-from cannoise_jax.recordings.recording import (
-    COLDEST_C,
-    HOTTEST_C,
-    LEAST,
-    LONGEST_S,
-    MOST,
-    SHORTEST_S,
-    Recording,
-)
+from cannoise_jax.physics.core.setting_numbers import check_numbers
+from cannoise_jax.recordings.recording import Recording
 
 Numbers = Array | np.ndarray | np.floating | float
 """Numbers as they come: of NumPy outside jit, traced inside."""
-
-
-def _check(value: Any, words: str, holds: Callable[[np.ndarray], Any]) -> None:
-    """Raises ValueError for what is no number, or numbers of which not all hold. Traced ones pass."""
-    if value is None or isinstance(value, jax.core.Tracer):
-        return
-    numbers = np.asarray(None if isinstance(value, (str, bytes, list, tuple)) else value)
-    if numbers.dtype.kind not in "fiu":
-        raise ValueError(f"{words}, got {reprlib.repr(value)}")
-    good = np.isfinite(numbers) & holds(numbers)
-    if not good.all():
-        raise ValueError(f"{words}, got {numbers[~good].flat[0]:g}")
 
 
 @jax.tree_util.register_pytree_with_keys_class
@@ -76,29 +56,6 @@ class Settings:
 
 
 _NUMBERS = ("iso", "exposure_s", "temperature_c")
-
-
-def check_numbers(settings: Settings) -> None:
-    """Raises ValueError where a number is none that a recording has, as those of files are held to it."""
-    _check(
-        settings.iso,
-        f"iso must be above 0, at most {MOST:g}",
-        lambda v: (v >= LEAST) & (v <= MOST),
-    )
-    _check(
-        settings.exposure_s,
-        f"exposure_s must be 0 or {SHORTEST_S:g} to {LONGEST_S:g}",
-        lambda v: (v == 0) | (v >= np.float32(SHORTEST_S)) & (v <= LONGEST_S),
-    )
-    _check(
-        settings.temperature_c,
-        f"temperature_c must be {COLDEST_C:g} to {HOTTEST_C:g}",
-        lambda v: (v >= COLDEST_C) & (v <= HOTTEST_C),
-    )
-    # Frames are no leaf of the tree, so that JAX puts nothing of its own there.
-    whole = isinstance(settings.frames, (int, np.integer)) and not isinstance(settings.frames, bool)
-    if not whole or not 1 <= settings.frames < 2**31:
-        raise ValueError(f"frames must be a whole number from 1, got {reprlib.repr(settings.frames)}")
 
 
 DEFAULT = Settings()
