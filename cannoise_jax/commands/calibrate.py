@@ -17,7 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cannoise_jax.commands.entry import cache_folder, command, counted, progress
+from cannoise_jax.commands.entry import cache_folder, command, counted, progress, show_warnings
 from cannoise_jax.commands.outputs import check_file
 from cannoise_jax.commands.parser import (
     OneLineParser,
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 def main(argv: list[str] | None = None) -> int:
     """Calibrates; returns 0, or 2 after one line on stderr when something cannot be used."""
     arguments = _parser().parse_args(argv)
-    logging.basicConfig(format="bin/calibrate: %(message)s", level=logging.WARNING)
+    show_warnings("calibrate")
     try:
         return _run(arguments)
     except BadInput as error:

@@ -5,12 +5,11 @@ from __future__ import annotations
 
 import argparse
 import json
-import logging
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cannoise_jax.commands.entry import cache_folder, command, progress, stages
+from cannoise_jax.commands.entry import cache_folder, command, progress, show_warnings, stages
 from cannoise_jax.commands.outputs import check_folder
 from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, folder, options, seed
 from cannoise_jax.recordings.recording import BadInput
@@ -26,7 +25,7 @@ def main(argv: list[str] | None = None) -> int:
     """Prints the table and writes comparison.json and comparison.html; returns 0 whatever differs, 2 for bad
     input."""
     arguments = _parser().parse_intermixed_args(argv)
-    logging.basicConfig(format="bin/compare: %(message)s", level=logging.WARNING)
+    show_warnings("compare")
     tell = stages()
     try:
         if arguments.reports:

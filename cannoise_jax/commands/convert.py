@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import logging
 import re
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cannoise_jax.commands.entry import command, progress
+from cannoise_jax.commands.entry import command, progress, show_warnings
 from cannoise_jax.commands.outputs import check_takes_files, line_of
 from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, options, overrides, place
 from cannoise_jax.recordings.recording import BadInput
@@ -39,7 +38,7 @@ def main(argv: list[str] | None = None) -> int:
     """Converts; returns 0, or 2 after one line on stderr when something cannot be used."""
     parser = _parser()
     arguments = parser.parse_intermixed_args(_gathered(sys.argv[1:] if argv is None else argv))
-    logging.basicConfig(format="bin/convert: %(message)s", level=logging.WARNING)
+    show_warnings("convert")
     try:
         if _is_folder(arguments):
             return _convert_folder(arguments)

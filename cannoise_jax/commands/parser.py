@@ -25,6 +25,7 @@ from cannoise_jax.recordings.recording import (
     MOST,
     MOST_DB,
     SHORTEST_S,
+    printable,
 )
 from cannoise_jax.recordings.stated_values import LONGEST
 
@@ -99,7 +100,7 @@ class OneLineParser(argparse.ArgumentParser):
         for kind, words in (("int", "a whole number"), ("float", "a number")):
             message = re.sub(rf"invalid {kind} value: (.*)$", rf"\1: give {words}", message)
         message = re.sub(r"^unrecognized arguments: (.*)$", r"\1: no flag stands before it", message)
-        self.exit(2, f"{self.prog}: {' '.join(message.split())} (see --help)\n")
+        self.exit(2, f"{self.prog}: {printable(message)} (see --help)\n")
 
 
 def add_recording_flags(parser: argparse.ArgumentParser, *, single: bool = False) -> None:

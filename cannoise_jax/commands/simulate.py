@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cannoise_jax.commands.entry import command, progress
+from cannoise_jax.commands.entry import command, progress, show_warnings
 from cannoise_jax.commands.outputs import check_file, line_of
 from cannoise_jax.commands.parser import (
     OneLineParser,
@@ -45,7 +45,7 @@ _MOST_FRAMES = 10_000
 def main(argv: list[str] | None = None) -> int:
     """Writes native recordings or the catalogue; returns 0, or 2 after one line on stderr."""
     arguments = _parser().parse_args(argv)
-    logging.basicConfig(format="bin/simulate: %(message)s", level=logging.WARNING)
+    show_warnings("simulate")
     try:
         if arguments.catalogue:
             from cannoise_jax.mechanisms.catalogue import write_catalogue

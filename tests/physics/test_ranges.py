@@ -27,6 +27,11 @@ def poisson_gaussian(**changes):
         ({"gain_dn_per_e": "high"}, "not a finite number"),
         ({"read_noise_e": -1.0}, "read_noise_e must be positive"),
         ({"read_noise_e": float("inf")}, "not a finite number"),
+        (
+            {"read_noise_e": 1e300},
+            r"is 1e\+300, more than 3.4e\+38, the largest number that is kept",
+        ),
+        ({"read_noise_e": 10**400}, r"read_noise_e is 1000.*, more than 3.4e\+38"),
         ({"black_level": 2000.0}, "not above black_level"),
         ({"black_level": float("nan")}, "black_level is nan"),
         ({"white_level": 65536.0}, "above 65535"),

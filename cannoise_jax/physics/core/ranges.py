@@ -21,6 +21,8 @@ from cannoise_jax.physics.core.setting_numbers import check_numbers
 from cannoise_jax.physics.core.settings import Fitted, IsoTable, Settings
 from cannoise_jax.recordings.recording import CFA_PATTERNS, LEAST, MOST, in_one_line
 
+LARGEST = float(np.finfo(np.float32).max)
+"""Numbers are kept as float32."""
 HIGHEST_CODE = 65535
 """Of 16 bits, as frames are stored."""
 _MAY_BE_NONE = ("doubling_c", "reference_iso", "reference_temperature_c")
@@ -49,11 +51,19 @@ def known(value: Any, what: str) -> np.ndarray | None:
             raise TypeError
         numbers = numbers.astype(np.float64)
     except (TypeError, ValueError):
-        raise ValueError(f"{what} is {reprlib.repr(value)}, not a finite number") from None
-    if not np.all(np.abs(numbers) <= np.finfo(np.float32).max):  # holds for nan
-        worst = numbers[~(np.abs(numbers) <= np.finfo(np.float32).max)].flat[0]
-        raise ValueError(f"{what} is {worst:g}, not a finite number")
+        raise ValueError(f"{what} is {reprlib.repr(value)}, {not_held(value)}") from None
+    if not np.all(np.abs(numbers) <= LARGEST):  # holds for nan
+        worst = float(numbers[~(np.abs(numbers) <= LARGEST)].flat[0])
+        raise ValueError(f"{what} is {worst:g}, {not_held(worst)}")
     return numbers
+
+
+def not_held(value: Any) -> str:
+    """Why a value is no number of a camera model, in words."""
+    plain = isinstance(value, int | float) and not isinstance(value, bool)
+    if plain and LARGEST < abs(value) < float("inf"):
+        return f"more than {LARGEST:.2g}, the largest number that is kept: check its unit"
+    return "not a finite number"
 
 
 def check_baseline(iso, gain_dn_per_e, read_noise_e, black_level, white_level, code_step, cfa: str) -> None:
