@@ -74,7 +74,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from cannoise_jax.physics.transfer.model import format_findings, sensor_model
     from cannoise_jax.physics.transfer.photon_transfer import of_all_pixels
     from cannoise_jax.physics.transfer.table import format_transfer
-    from cannoise_jax.recordings.atomic import texts_in_place
+    from cannoise_jax.recordings.atomic import new_folder, texts_in_place
 
     check_place(arguments.out)
     transfers, findings = calibrate(capture, own)
@@ -90,7 +90,10 @@ def _run(arguments: argparse.Namespace) -> int:
         print(note, end="\n\n")
     now_at("drawing the sheet")
     texts = _texts(beside, model.camera, shown, capture, (*notes, *_doubted(transfers)))
-    with texts_in_place(texts, (arguments.out, arguments.out.with_suffix(".npz"))):
+    with (
+        new_folder(arguments.out.parent),
+        texts_in_place(texts, (arguments.out, arguments.out.with_suffix(".npz"))),
+    ):
         write_sensor(arguments.out, model)
     names = ", ".join(f.mechanism for f in model.mechanisms) or "none"
     print(f"{arguments.out}: {model.camera}, {len(transfers)} setting(s), mechanisms: {names}")

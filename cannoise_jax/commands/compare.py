@@ -67,12 +67,10 @@ def _of_reports(arguments: argparse.Namespace) -> int:
     result = side_by_side(*(read_compared(path) for path in arguments.reports))
     print("\n".join(lines(result)))
     if arguments.out is not None:
-        from cannoise_jax.recordings.atomic import texts_in_place
+        from cannoise_jax.recordings.atomic import new_folder, texts_in_place
 
-        arguments.out.mkdir(parents=True, exist_ok=True)
-        with texts_in_place(
-            {arguments.out / _FILES[0]: json.dumps(result, indent=1, allow_nan=False) + "\n"}
-        ):
+        text = json.dumps(result, indent=1, allow_nan=False) + "\n"
+        with new_folder(arguments.out), texts_in_place({arguments.out / _FILES[0]: text}):
             pass
     return 0
 

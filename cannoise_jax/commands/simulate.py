@@ -49,9 +49,11 @@ def main(argv: list[str] | None = None) -> int:
     try:
         if arguments.catalogue:
             from cannoise_jax.mechanisms.catalogue import write_catalogue
+            from cannoise_jax.recordings.atomic import new_folder
 
             check_file(arguments.out, ".html", arguments.force)
-            write_catalogue(arguments.out, tell=progress("drawing mechanisms"))
+            with new_folder(arguments.out.parent):
+                write_catalogue(arguments.out, tell=progress("drawing mechanisms"))
             print(f"{arguments.out}: the catalogue of mechanisms")
             return 0
         for path, recording in _recordings(arguments):

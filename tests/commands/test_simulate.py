@@ -214,9 +214,9 @@ def test_nothing_is_written_over(sensor, tmp_path, capsys):
 
 
 def test_catalogue_needs_a_place(tmp_path, capsys):
-    assert main(["--catalogue", "--out", str(tmp_path / "absent" / "page.html")]) == 2
-    assert "no such folder" in capsys.readouterr().err
     (tmp_path / "page.html").write_text("precious")
+    assert main(["--catalogue", "--out", str(tmp_path / "page.html" / "page.html")]) == 2
+    assert "page.html: is a file: name a folder for page.html" in capsys.readouterr().err
     assert main(["--catalogue", "--out", str(tmp_path / "page.html")]) == 2
     assert "--force" in capsys.readouterr().err and (tmp_path / "page.html").read_text() == "precious"
 
