@@ -230,7 +230,7 @@ def test_catalogue_entry_has_its_pictures_and_words():
 
 
 def test_a_full_disk_leaves_no_folder(tmp_path, monkeypatch, capsys):
-    def full(path, recording):
+    def full(path, recording, tell):
         raise BadInput(f"{path}: cannot be written: no space left on the disk")
 
     monkeypatch.setattr("cannoise_jax.recordings.native.write_recording", full)
