@@ -136,10 +136,12 @@ def sample_noise(
     next to none, sigma 3e-5. A noisy image is `clip(clean + noise, 0, 1)`.
     Pure; use `jax.vmap` for one reference per clean image.
 
-    Raises ValueError for images of other shapes, for images in DN, for an nlf that is negative or infinite,
+    Raises ValueError for images of other shapes, in DN, or with NaN or infinite values, for a clean image
+    with values far below black (-0.5; noise around black is fine), for an nlf that is negative or infinite,
     and for a level of another source than the model was trained with (`Model.level`), which would be
     corrected twice or not at all; TypeError for what is no model or no key. Of what is traced under jit only
-    shapes are known: images in DN then give noise that is nan throughout, an nlf is not checked.
+    shapes are known: images in DN then give noise that is nan throughout, and single values and an nlf are
+    not checked.
     """
     if not isinstance(params, Model):
         raise TypeError(f"params is a {type(params).__name__}: expected a Model, of load_model(workdir)")
@@ -158,8 +160,7 @@ def sample_noise(
     if min(height, width) < SMALLEST:
         raise ValueError(f"clean must be at least {SMALLEST}x{SMALLEST}, got shape {clean.shape}")
     shot, read = estimate_nlf(noisy_ref) if nlf is None else _checked_nlf(nlf)
-    _check_units(clean, "clean")
-    _check_units(noisy_ref, "noisy_ref")
+    check_values(clean, noisy_ref)
     images = clean.reshape(-1, height, width, 4)
     per_image = (*clean.shape[:-3], 4)
     shot, read = (
@@ -229,14 +230,21 @@ def _checked_nlf(nlf: tuple[Any, Any]) -> tuple[Any, Any]:
     return nlf
 
 
-def _check_units(image: Array, name: str) -> None:
-    if isinstance(image, jax.core.Tracer) or not image.size:
-        return
-    middle = float(np.median(np.asarray(image)))  # of constants of a traced function too
-    if not _DARKEST <= middle <= _BRIGHTEST:
-        raise ValueError(
-            f"{name} has median {middle:.4g}, so it is not normalised: give (DN - black) / (white - black)"
-        )
+def check_values(clean: Array | np.ndarray, noisy_ref: Array | np.ndarray) -> None:
+    """Raises ValueError where an image holds values that are not finite, or is in DN. Traced ones pass."""
+    remedy = "so it is not normalised: give (DN - black) / (white - black)"
+    for name, image in (("clean", clean), ("noisy_ref", noisy_ref)):
+        if isinstance(image, jax.core.Tracer) or not image.size:
+            continue
+        values = np.asarray(image)  # of constants of a traced function too
+        if not np.isfinite(values).all():
+            raise ValueError(f"{name} holds NaN or infinite values: replace them")
+        middle, least = float(np.median(values)), float(values.min())
+        if not _DARKEST <= middle <= _BRIGHTEST:
+            raise ValueError(f"{name} has median {middle:.4g}, {remedy}")
+        # References are noisy: single pixels of theirs may be anywhere.
+        if name == "clean" and least < _DARKEST:
+            raise ValueError(f"clean has lowest value {least:.4g}, {remedy}")
 
 
 def _normalised(image: Array) -> Bool[Array, ""]:

@@ -29,6 +29,7 @@ from cannoise_jax.sampling import (
     Model,
     _latent,
     check_level,
+    check_values,
     initial_noise_of,
     margin_of,
     repeated,
@@ -67,6 +68,7 @@ def sample_image(
         raise ValueError(f"clean must be packed, [h, w, 4], from {SMALLEST}x{SMALLEST}, got {clean.shape}")
     if tile % _BLOCK or tile <= 0:
         raise ValueError(f"tile must be a multiple of {_BLOCK}, got {tile}")
+    check_values(clean, noisy_ref)
     height, width = clean.shape[:2]
     shown = repeated(jnp.asarray(noisy_ref, jnp.float32))
     shot, read = (

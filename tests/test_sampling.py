@@ -372,6 +372,25 @@ def test_one_number_is_no_noise_level(model):
         sample_noise(model, jax.random.key(0), scene(32, 32), noisy(jax.random.key(1)), (0.01,))
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_values_that_are_not_finite_are_refused(model, value):
+    key, image, reference = jax.random.key(0), scene(32, 32), noisy(jax.random.key(1))
+    at = (0,) * (image.ndim - 1) + (1,)
+    with pytest.raises(ValueError, match="clean holds NaN or infinite values: replace them"):
+        sample_noise(model, key, image.at[at].set(value), reference, (1e-3, 1e-5))
+    with pytest.raises(ValueError, match="noisy_ref holds NaN or infinite"):
+        sample_noise(model, key, image, reference.at[(0,) * reference.ndim].set(value), (1e-3, 1e-5))
+
+
+def test_single_values_far_below_black_are_refused_and_noise_around_it_is_not(model):
+    key, image, reference = jax.random.key(0), scene(32, 32), noisy(jax.random.key(1))
+    at = (0,) * image.ndim
+    with pytest.raises(ValueError, match="clean has lowest value -3, so it is not normalised"):
+        sample_noise(model, key, image.at[at].set(-3.0), reference, (1e-3, 1e-5))
+    noise = sample_noise(model, key, image.at[at].set(-0.1), reference.at[at[:3]].set(-3.0), (1e-3, 1e-5))
+    assert np.isfinite(np.asarray(noise)).all()
+
+
 def test_a_clean_image_in_dn_is_refused(model):
     with pytest.raises(ValueError, match="so it is not normalised"):
         sample_noise(

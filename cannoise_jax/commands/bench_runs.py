@@ -19,7 +19,7 @@ from cannoise_jax.mechanisms import LISTED
 from cannoise_jax.mechanisms.coverage import coverage, format_rows
 from cannoise_jax.mechanisms.peers import GETFRAMES, TOGETHER
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
-from cannoise_jax.recordings.atomic import texts_in_place
+from cannoise_jax.recordings.atomic import new_folder, texts_in_place
 from cannoise_jax.recordings.recording import BadInput
 
 GAIN, READ_E, BLACK, WHITE = 0.8, 2.5, 200.0, 4095.0
@@ -263,5 +263,6 @@ def write_table(
     if arguments.out is not None:
         table = {"columns": columns, "rows": rows, "values": values, "code": code}
         table |= {"machine": machine} if machine else {}
-        with texts_in_place({arguments.out: json.dumps(table, indent=1, ensure_ascii=False) + "\n"}):
+        text = json.dumps(table, indent=1, ensure_ascii=False) + "\n"
+        with new_folder(arguments.out.parent), texts_in_place({arguments.out: text}):
             pass

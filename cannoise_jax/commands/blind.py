@@ -162,7 +162,7 @@ def _true_size(arguments: argparse.Namespace) -> None:
 
 def _plain(arguments: argparse.Namespace) -> None:
     from cannoise_jax.commands.outputs import check_file
-    from cannoise_jax.recordings.atomic import texts_in_place
+    from cannoise_jax.recordings.atomic import new_folder, texts_in_place
     from cannoise_jax.trials.plain import KINDS, plain_trial
 
     if arguments.table:
@@ -170,7 +170,7 @@ def _plain(arguments: argparse.Namespace) -> None:
     result = plain_trial(arguments.out, arguments.seeds, arguments.kinds or KINDS, progress("diagnosed"))
     text = json.dumps(result, indent=1, ensure_ascii=False)
     if arguments.table:
-        with texts_in_place({arguments.table: text}):
+        with new_folder(arguments.table.parent), texts_in_place({arguments.table: text}):
             pass
     print(text)
 

@@ -17,7 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cannoise_jax.commands.entry import cache_folder, command, counted, progress
+from cannoise_jax.commands.entry import cache_folder, command, counted, progress, show_warnings
 from cannoise_jax.commands.outputs import check_file
 from cannoise_jax.commands.parser import (
     OneLineParser,
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 def main(argv: list[str] | None = None) -> int:
     """Calibrates; returns 0, or 2 after one line on stderr when something cannot be used."""
     arguments = _parser().parse_args(argv)
-    logging.basicConfig(format="bin/calibrate: %(message)s", level=logging.WARNING)
+    show_warnings("calibrate")
     try:
         return _run(arguments)
     except BadInput as error:
@@ -74,7 +74,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from cannoise_jax.physics.transfer.model import format_findings, sensor_model
     from cannoise_jax.physics.transfer.photon_transfer import of_all_pixels
     from cannoise_jax.physics.transfer.table import format_transfer
-    from cannoise_jax.recordings.atomic import texts_in_place
+    from cannoise_jax.recordings.atomic import new_folder, texts_in_place
 
     check_place(arguments.out)
     transfers, findings = calibrate(capture, own)
@@ -90,7 +90,10 @@ def _run(arguments: argparse.Namespace) -> int:
         print(note, end="\n\n")
     now_at("drawing the sheet")
     texts = _texts(beside, model.camera, shown, capture, (*notes, *_doubted(transfers)))
-    with texts_in_place(texts, (arguments.out, arguments.out.with_suffix(".npz"))):
+    with (
+        new_folder(arguments.out.parent),
+        texts_in_place(texts, (arguments.out, arguments.out.with_suffix(".npz"))),
+    ):
         write_sensor(arguments.out, model)
     names = ", ".join(f.mechanism for f in model.mechanisms) or "none"
     print(f"{arguments.out}: {model.camera}, {len(transfers)} setting(s), mechanisms: {names}")

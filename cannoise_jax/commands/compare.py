@@ -5,12 +5,11 @@ from __future__ import annotations
 
 import argparse
 import json
-import logging
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cannoise_jax.commands.entry import cache_folder, command, progress, stages
+from cannoise_jax.commands.entry import cache_folder, command, progress, show_warnings, stages
 from cannoise_jax.commands.outputs import check_folder
 from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, folder, options, seed
 from cannoise_jax.recordings.recording import BadInput
@@ -26,7 +25,7 @@ def main(argv: list[str] | None = None) -> int:
     """Prints the table and writes comparison.json and comparison.html; returns 0 whatever differs, 2 for bad
     input."""
     arguments = _parser().parse_intermixed_args(argv)
-    logging.basicConfig(format="bin/compare: %(message)s", level=logging.WARNING)
+    show_warnings("compare")
     tell = stages()
     try:
         if arguments.reports:
@@ -68,12 +67,10 @@ def _of_reports(arguments: argparse.Namespace) -> int:
     result = side_by_side(*(read_compared(path) for path in arguments.reports))
     print("\n".join(lines(result)))
     if arguments.out is not None:
-        from cannoise_jax.recordings.atomic import texts_in_place
+        from cannoise_jax.recordings.atomic import new_folder, texts_in_place
 
-        arguments.out.mkdir(parents=True, exist_ok=True)
-        with texts_in_place(
-            {arguments.out / _FILES[0]: json.dumps(result, indent=1, allow_nan=False) + "\n"}
-        ):
+        text = json.dumps(result, indent=1, allow_nan=False) + "\n"
+        with new_folder(arguments.out), texts_in_place({arguments.out / _FILES[0]: text}):
             pass
     return 0
 

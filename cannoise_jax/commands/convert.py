@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import logging
 import re
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cannoise_jax.commands.entry import command, progress
-from cannoise_jax.commands.outputs import check_takes_files, line_of
+from cannoise_jax.commands.entry import command, progress, show_warnings
+from cannoise_jax.commands.outputs import check_file, check_takes_files, line_of
 from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, options, overrides, place
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.recordings.unfinished import is_finished
@@ -39,7 +38,7 @@ def main(argv: list[str] | None = None) -> int:
     """Converts; returns 0, or 2 after one line on stderr when something cannot be used."""
     parser = _parser()
     arguments = parser.parse_intermixed_args(_gathered(sys.argv[1:] if argv is None else argv))
-    logging.basicConfig(format="bin/convert: %(message)s", level=logging.WARNING)
+    show_warnings("convert")
     try:
         if _is_folder(arguments):
             return _convert_folder(arguments)
@@ -67,6 +66,7 @@ def convert(inputs: list[Path], output: Path, given: dict, force: bool = False) 
 
     given: see `metadata.OVERRIDES`. Raises BadInput, and then nothing is written.
     """
+    from cannoise_jax.recordings.atomic import new_folder
     from cannoise_jax.recordings.join import join_recordings
     from cannoise_jax.recordings.load import load_recording
     from cannoise_jax.recordings.native import write_recording
@@ -78,11 +78,7 @@ def convert(inputs: list[Path], output: Path, given: dict, force: bool = False) 
         raise BadInput(f"{missing}: no such file or folder")
     if output.suffix.lower() not in _NATIVE:
         raise BadInput(f"{output}: the output comes last and ends in .h5 (or is a folder, for one folder)")
-    if is_finished(output) and not force:
-        raise BadInput(f"{output}: exists: name another file, or replace it with --force")
-    if not output.parent.is_dir():
-        raise BadInput(f"{output}: no such folder {output.parent}")
-    check_takes_files(output.parent, output)
+    check_file(output, output.suffix.lower(), force)
     if folder := next((path for path in inputs if path.is_dir() and not is_instance(path)), None):
         raise BadInput(
             f"{folder}: a folder, which becomes one recording for each kind and setting: name a folder for "
@@ -104,7 +100,8 @@ def convert(inputs: list[Path], output: Path, given: dict, force: bool = False) 
         print(f"bin/convert: {silent[0]}{more}: no noise in them, written as they are", file=sys.stderr)
     elif line := of_several_noises(recording):
         print(f"bin/convert: {line}: written as they are", file=sys.stderr)
-    write_recording(output, recording)
+    with new_folder(output.parent):
+        write_recording(output, recording)
     return recording
 
 

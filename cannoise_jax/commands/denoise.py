@@ -47,7 +47,7 @@ from cannoise_jax.commands.parser import (
     place,
     seconds,
 )
-from cannoise_jax.recordings.atomic import file_in_place
+from cannoise_jax.recordings.atomic import file_in_place, new_folder
 from cannoise_jax.recordings.recording import BadInput
 
 _DEFAULT = "gaussian,gaussian_pooled,pg,pg_at_exposure,pg_estimated,random_phase,calibrated,real_darks"
@@ -163,7 +163,7 @@ def _apply(arguments, argv) -> None:
     shape = (recording.count, *recording.size)
     header = {"descr": "<f4", "fortran_order": False, "shape": shape}
     bar = tqdm(total=int(np.prod(shape)), unit="px", unit_scale=True)
-    with bar, file_in_place(arguments.out) as file:
+    with bar, new_folder(arguments.out.parent), file_in_place(arguments.out) as file:
         np.lib.format.write_array_header_1_0(file, header)
         for t in range(recording.count):
             frame = np.asarray(recording.frames[t : t + 1])[0].astype(np.float32)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import logging
 import sys
 import time
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cannoise_jax.commands.entry import cache_folder, command, progress
+from cannoise_jax.commands.entry import cache_folder, command, progress, show_warnings
 from cannoise_jax.commands.outputs import check_folder
 from cannoise_jax.commands.parser import (
     OneLineParser,
@@ -38,7 +37,7 @@ _BUILT_IN = ("poisson-gaussian", "nlf")
 def main(argv: list[str] | None = None) -> int:
     """Writes report.json, report.html and sensor.json; returns 0 whatever the verdict, 2 for bad input."""
     arguments = _parser().parse_args(argv)
-    logging.basicConfig(format="bin/diagnose: %(message)s", level=logging.WARNING)
+    show_warnings("diagnose")
     started = time.monotonic()
 
     tell = Stages(started)

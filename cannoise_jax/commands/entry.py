@@ -4,6 +4,7 @@ word of how far it is."""
 from __future__ import annotations
 
 import functools
+import logging
 import os
 import signal
 import sys
@@ -17,7 +18,7 @@ from typing import Any
 
 from cannoise_jax.commands.compiled import caches
 from cannoise_jax.commands.pulse import Pulse, Stream, beating, current, fitting
-from cannoise_jax.recordings.recording import BadInput
+from cannoise_jax.recordings.recording import BadInput, printable
 
 _SILENT_S, _EVERY_S, _SOON_S = 2.0, 5.0, 0.05
 _LONGEST = 200
@@ -66,7 +67,7 @@ def _of_the_machine(error: BaseException) -> str | None:
         return "not enough memory for frames of this size and number: give fewer, or smaller ones"
     if isinstance(error, OSError) and error.filename is not None and error.strerror:
         name = os.fsdecode(error.filename) if isinstance(error.filename, (str, bytes)) else error.filename
-        name = " ".join(str(name).split())
+        name = printable(str(name))
         shown = name if len(name) <= _LONGEST else f"{name[:_LONGEST]}..."
         return f"{shown}: cannot be used ({error.strerror}): name another one"
     return None
@@ -114,7 +115,21 @@ def _again(waiting: list[threading.Timer], swallowed: Any) -> None:
 
 def _shown(command_name: str, message, category, filename, lineno, file=None, line=None) -> None:
     if str(getattr(category, "__module__", "")).startswith("cannoise_jax"):
-        print(f"bin/{command_name}: {' '.join(str(message).split())}", file=sys.stderr)
+        print(f"bin/{command_name}: {printable(str(message))}", file=sys.stderr)
+
+
+class _Line(logging.Formatter):
+    """Records of the log in one printable line each."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return printable(super().format(record))
+
+
+def show_warnings(name: str) -> None:
+    """From now on what the package warns of in its log is a line on stderr, as of the command."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(_Line(f"bin/{name}: %(message)s"))
+    logging.basicConfig(handlers=[handler], level=logging.WARNING)
 
 
 def cache_folder() -> Path:
@@ -139,7 +154,7 @@ def progress(doing: str, alone: bool = True) -> Callable[..., None]:
         text = f"{doing}: {number} of {total}"
         # What is being done may take longer than what was: none of it is taken for done.
         text += f", {duration(spent / number * (total - number))} left" if number else ""
-        return text + (f", now {next_one}" if next_one else "")
+        return text + (f", now {printable(next_one)}" if next_one else "")
 
     pulse = current()
 

@@ -1,4 +1,5 @@
-"""Where results go: refused before the work where they could not be written, or would replace others."""
+"""Where results go: refused before the work where they could not be written, or would replace others. Folders
+that do not exist are made, with those above them, once there is something to write."""
 
 from __future__ import annotations
 
@@ -19,8 +20,6 @@ def check_folder(out: Path, names: tuple[str, ...], force: bool, what: str = "th
     nearest = _nearest(out)
     if not nearest.is_dir():
         raise BadInput(f"{nearest}: is a file: name a folder for {what}")
-    if not out.exists() and not out.parent.is_dir() and not out.parent.parent.is_dir():
-        raise BadInput(f"{out}: no such folder {out.parent}")
     for name in names:
         if (out / name).is_dir():
             raise BadInput(f"{out / name}: is a folder: name another one for {what}")
@@ -35,11 +34,12 @@ def _nearest(path: Path) -> Path:
 
 
 def check_file(path: Path, suffix: str, force: bool) -> None:
-    """Raises BadInput where a file cannot be written or exists (without force), or has another suffix."""
+    """Raises BadInput where a file cannot be written or exists (without force), or has another suffix. Makes
+    nothing."""
     if path.suffix.lower() != suffix:
         raise BadInput(f"{path}: --out names a {suffix} file")
-    if not path.parent.is_dir():
-        raise BadInput(f"{path}: no such folder {path.parent}")
+    if not (nearest := _nearest(path.parent)).is_dir():
+        raise BadInput(f"{nearest}: is a file: name a folder for {path.name}")
     if path.is_dir():
         raise BadInput(f"{path}: is a folder: name a file")
     if is_finished(path) and not force:

@@ -25,6 +25,7 @@ from cannoise_jax.recordings.recording import (
     MOST,
     MOST_DB,
     SHORTEST_S,
+    printable,
 )
 from cannoise_jax.recordings.stated_values import LONGEST
 
@@ -99,7 +100,7 @@ class OneLineParser(argparse.ArgumentParser):
         for kind, words in (("int", "a whole number"), ("float", "a number")):
             message = re.sub(rf"invalid {kind} value: (.*)$", rf"\1: give {words}", message)
         message = re.sub(r"^unrecognized arguments: (.*)$", r"\1: no flag stands before it", message)
-        self.exit(2, f"{self.prog}: {' '.join(message.split())} (see --help)\n")
+        self.exit(2, f"{self.prog}: {printable(message)} (see --help)\n")
 
 
 def add_recording_flags(parser: argparse.ArgumentParser, *, single: bool = False) -> None:
@@ -209,7 +210,7 @@ def _between(
 
 
 level = _between(0, _HIGHEST_DN, "give a value in DN, above 0 and at most 65535", open_=True)
-celsius = _between(COLDEST_C, HOTTEST_C, "give degrees Celsius, -273.15 or more, as 20")
+celsius = _between(COLDEST_C, HOTTEST_C, f"give degrees Celsius, {COLDEST_C:g} to {HOTTEST_C:g}, as 20")
 decibels = _between(-MOST_DB, MOST_DB, f"give a gain in dB, at most {MOST_DB:g}")
 seconds = _between(
     0, LONGEST_S, f"give a time in seconds, 0 or {SHORTEST_S:g} to {LONGEST_S:g}", smallest=SHORTEST_S

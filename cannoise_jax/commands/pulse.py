@@ -49,6 +49,10 @@ class Pulse:
         if words in self._doing:
             self._doing.remove(words)
 
+    def words(self) -> str:
+        """What the command is at now."""
+        return self._doing[-1]()
+
     @contextmanager
     def writing(self) -> Iterator[None]:
         """Around whatever else is said."""
@@ -68,7 +72,7 @@ class Pulse:
             if now - self._last < QUIET_S:
                 return
             self._last = now
-            text = f"[{now - self._began:6.1f} s] {self._doing[-1]()}"
+            text = f"[{now - self._began:6.1f} s] {self.words()}"
             if not stream.isatty():
                 stream.put(f"{text}\n" if stream.at_start else f"\n{text}\n")
                 stream.at_start = True

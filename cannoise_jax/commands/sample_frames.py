@@ -4,33 +4,32 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from cannoise_jax.commands.entry import progress
+from cannoise_jax.commands.entry import counted, progress
+from cannoise_jax.commands.pulse import now_at
+from cannoise_jax.commands.sample_target import Target, overrides, target_of
 from cannoise_jax.recordings.atomic import new_folder, one_work
-from cannoise_jax.recordings.codes import detect_code_step
-from cannoise_jax.recordings.load import load_recording, open_file, recording_paths
+from cannoise_jax.recordings.load import load_recording, recording_paths
 from cannoise_jax.recordings.native import write_recording
 from cannoise_jax.recordings.opened import BROKEN_ARRAYS
-from cannoise_jax.recordings.packing import pack, to_mosaic_order, to_packed_order
+from cannoise_jax.recordings.packing import to_mosaic_order
 from cannoise_jax.recordings.recording import (
-    DARK,
     BadInput,
     PerChannel,
     Recording,
     mosaic_map,
     per_channel,
+    printable,
 )
 from cannoise_jax.recordings.references import mean_frame
 from cannoise_jax.recordings.unfinished import is_finished
 
-_PATCH, _PATCHES = 64, 16
-"""Reference patches: side in packed pixels, as in training, and how many of a recording, on a 4x4 grid."""
 _RANGE = (-0.05, 1.5)
 """Least and largest value of a clean array: what lies beyond is no normalised signal, but codes."""
 
@@ -45,34 +44,20 @@ class Clean:
     recording: Recording | None
 
 
-@dataclass(frozen=True, eq=False)
-class Target:
-    """The camera and setting to imitate. reference: packed `[n, h, w, 4]`; nlf: shot and read, packed order;
-    given: whether these are stated somewhere, or else estimated from the reference."""
-
-    camera: str
-    iso: float | None
-    reference: Float[np.ndarray, "n h w 4"]
-    nlf: tuple[Any, Any]
-    given: bool
-    black_level: PerChannel | None = None
-    white_level: float | None = None
-    code_step: float = 1.0
-    cfa: str | None = None
-
-
 def synthesise(arguments: argparse.Namespace) -> list[Path]:
     """Writes one native file per clean image and returns their paths.
 
     All inputs are read before the first file is written. Raises BadInput.
     """
+    now_at("loading libraries")
     import jax  # only here: flags are checked, and --help answered, without waiting for it
 
     from cannoise_jax.sampling import load_model
     from cannoise_jax.tiles import sample_mosaic
 
+    now_at("reading the model and the reference")
     model = load_model(arguments.model)
-    target = _target(arguments, model)
+    target = target_of(arguments, model)
     if model.level == "estimated":
         if arguments.reference in model.cameras:
             raise BadInput(
@@ -97,6 +82,7 @@ def synthesise(arguments: argparse.Namespace) -> list[Path]:
         if is_finished(path) and not arguments.force:
             raise BadInput(f"{path}: exists: name another folder, or replace it with --force")
     tell = progress("sampling pixels")
+    _say_unused(arguments, sources, target)
     pixels, done = arguments.frames * sum(source.image.size for source in sources), 0
 
     def told(count: int) -> None:
@@ -106,6 +92,7 @@ def synthesise(arguments: argparse.Namespace) -> list[Path]:
 
     with new_folder(arguments.out), one_work(outputs):
         for i, (source, path, (black, white)) in enumerate(zip(sources, outputs, levels, strict=True)):
+            tell(done, pixels, path.name)
             frames = []
             for t in range(arguments.frames):
                 key = jax.random.fold_in(jax.random.fold_in(jax.random.key(arguments.seed), i), t)
@@ -151,7 +138,8 @@ def _clean_images(arguments, cfa: str | None) -> list[Clean]:
         raise BadInput(f"{path}: no such file or folder")
     if not path.is_dir():
         return [_clean_image(path, arguments, cfa)]
-    return [_clean_image(p, arguments, cfa) for p in recording_paths(path)]
+    paths = recording_paths(path)
+    return [_clean_image(p, arguments, cfa) for p in counted(paths, "reading clean images")]
 
 
 def _clean_image(path: Path, arguments, cfa: str | None) -> Clean:
@@ -170,7 +158,7 @@ def _clean_image(path: Path, arguments, cfa: str | None) -> Clean:
                     "(DN - black) / (white - black), from 0 to 1"
                 )
             return _checked(Clean(path, image.astype(np.float32), arguments.cfa or cfa or "RGGB", None))
-    return _from_recording(load_recording(path, **_overrides(arguments)))
+    return _from_recording(load_recording(path, **overrides(arguments)))
 
 
 def _from_recording(recording: Recording) -> Clean:
@@ -195,78 +183,17 @@ def _checked(clean: Clean) -> Clean:
     return clean
 
 
-def _target(arguments, model) -> Target:
-    name, iso = arguments.reference, arguments.iso
-    if name in model.cameras:
-        camera = model.cameras[name]
-        known = ", ".join(sorted(camera.settings, key=float))
-        if iso is None:
-            raise BadInput(f"--iso: not set: {name} is known at ISO {known}")
-        found = [s for key, s in camera.settings.items() if float(key) == iso]
-        if not found:
-            raise BadInput(f"--iso {iso:g}: {name} is known at ISO {known}")
-        nlf = (np.asarray(found[0].shot), np.asarray(found[0].read))
-        return Target(name, iso, np.asarray(camera.reference), nlf, True)
-    if not Path(name).exists():
-        cameras = ", ".join(model.cameras) or "none"
-        raise BadInput(f"{name}: neither a file nor a camera of the model, which are {cameras}")
-    stated = {
-        "cfa": arguments.reference_cfa,
-        "black_level": arguments.reference_black_level,
-        "white_level": arguments.reference_white_level,
-    }
-    if Path(name).is_file():  # the flags of the clean images fill in what the file leaves out
-        silent = {k for k in stated if open_file(Path(name)).known.get(k) is None}
-        stated |= {k: v for k, v in _overrides(arguments).items() if k in silent and stated[k] is None}
-        if missing := [k for k in stated if k in silent and stated[k] is None]:
-            flags = ", ".join(f"--reference-{k.replace('_', '-')}" for k in missing)
-            raise BadInput(
-                f"{name}: does not state {', '.join(missing).replace('_', ' ')}: set it with {flags}"
-            )
-    return _target_recording(load_recording(name, **stated), iso)
-
-
-def _target_recording(recording: Recording, iso: float | None) -> Target:
-    import jax.numpy as jnp
-
-    from cannoise_jax.physics.single_image import estimate_nlf
-    from cannoise_jax.sampling import repeated
-
-    if iso is not None and recording.iso is not None and recording.iso != iso:
-        raise BadInput(
-            f"{recording.path}: recorded at ISO {recording.iso:g}: a reference sets the ISO, leave --iso"
-        )
-    height, width = (size // 2 for size in recording.size)
-    if min(height, width) < 1:
-        raise BadInput(f"{recording.path}: {recording.size[0]} x {recording.size[1]} pixels: no 2 x 2 fits")
-    patches = []
-    side = (min(_PATCH, height), min(_PATCH, width))
-    dark = recording.black_map()
-    for i in range(_PATCHES):
-        frame = np.asarray(recording.frames[i * recording.count // _PATCHES][None])[0].astype(np.float32)
-        packed = pack(
-            ((frame - dark) / (recording.white_level - dark))[: 2 * height, : 2 * width], recording.cfa
-        )
-        y, x = ((size - s) * p // 3 for size, s, p in zip((height, width), side, divmod(i, 4), strict=True))
-        patches.append(packed[y : y + side[0], x : x + side[1]])
-    reference = np.stack(patches)
-    given = recording.shot is not None and recording.read is not None
-    if recording.shot is not None and recording.read is not None:
-        # Metadata may state a read noise below 0: as everywhere, it counts as none.
-        stated = (recording.shot, tuple(max(v, 0.0) for v in recording.read))
-        nlf = tuple(np.asarray(to_packed_order(v, recording.cfa)) for v in stated)
-    elif recording.kind in DARK:
-        raise BadInput(
-            f"{recording.path}: a {recording.kind} frame shows no shot noise: use a lit recording, or one "
-            "that states shot and read"
-        )
-    else:
-        nlf = tuple(np.asarray(v) for v in estimate_nlf(repeated(jnp.asarray(reference))))
-    step = recording.code_step or detect_code_step(np.asarray(recording.frames[:1])) or 1.0
-    return Target(
-        recording.camera, recording.iso or iso, reference, (nlf[0], nlf[1]), given, recording.black_level,
-        recording.white_level, step, recording.cfa,
-    )  # fmt: skip
+def _say_unused(arguments, sources: list[Clean], target: Target) -> None:
+    """Says which levels the caller states change nothing: clean images that are normalised have none, and a
+    reference that states its own is written with them."""
+    normalised = all(s.recording is None or s.recording.clean is not None for s in sources)
+    given = [n for n in ("black_level", "white_level") if getattr(arguments, n) is not None]
+    unused = [n for n in given if normalised and n in target.states]
+    if unused:
+        flags = " and ".join(f"--{n.replace('_', '-')}" for n in unused)
+        line = f"{flags}: not used: the clean images are normalised, and {arguments.reference} has levels"
+        instead = f"--reference-{unused[0].replace('_', '-')} replaces them"
+        print(f"bin/sample: {printable(line)} of its own, which {instead}", file=sys.stderr)
 
 
 def _levels(arguments, source: Clean, target: Target) -> tuple[PerChannel, float]:
@@ -284,8 +211,3 @@ def _levels(arguments, source: Clean, target: Target) -> tuple[PerChannel, float
             f"{source.path}: black level {max(black):g}, white level {white:g}: expected black < white"
         )
     return black, float(white)
-
-
-def _overrides(arguments) -> dict[str, Any]:
-    names = ("cfa", "black_level", "white_level")
-    return {name: getattr(arguments, name) for name in names if getattr(arguments, name) is not None}

@@ -90,7 +90,7 @@ def _array(path: Path, suffix: str) -> np.ndarray:
     except (*BROKEN_ARRAYS, struct.error) as error:
         if isinstance(error, BadInput):
             raise
-        raise BadInput(f"{path}: cannot be read as a picture: {str(error).splitlines()[0]}") from error
+        raise BadInput(f"{path}: cannot be read as a picture: {error}") from error
     if picture.dtype == np.uint8:
         encoded = picture.astype(np.float32) / 255
         return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)

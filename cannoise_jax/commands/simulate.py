@@ -13,10 +13,11 @@ import sys
 import warnings
 import zlib
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cannoise_jax.commands.entry import command, progress
+from cannoise_jax.commands.entry import command, progress, show_warnings
 from cannoise_jax.commands.outputs import check_file, line_of
 from cannoise_jax.commands.parser import (
     OneLineParser,
@@ -28,6 +29,7 @@ from cannoise_jax.commands.parser import (
     seconds,
     seed,
 )
+from cannoise_jax.commands.pulse import now_at
 from cannoise_jax.recordings.recording import BadInput, iso_of_gain
 
 if TYPE_CHECKING:
@@ -45,13 +47,15 @@ _MOST_FRAMES = 10_000
 def main(argv: list[str] | None = None) -> int:
     """Writes native recordings or the catalogue; returns 0, or 2 after one line on stderr."""
     arguments = _parser().parse_args(argv)
-    logging.basicConfig(format="bin/simulate: %(message)s", level=logging.WARNING)
+    show_warnings("simulate")
     try:
         if arguments.catalogue:
             from cannoise_jax.mechanisms.catalogue import write_catalogue
+            from cannoise_jax.recordings.atomic import new_folder
 
             check_file(arguments.out, ".html", arguments.force)
-            write_catalogue(arguments.out, tell=progress("drawing mechanisms"))
+            with new_folder(arguments.out.parent):
+                write_catalogue(arguments.out, tell=progress("drawing mechanisms"))
             print(f"{arguments.out}: the catalogue of mechanisms")
             return 0
         for path, recording in _recordings(arguments):
@@ -120,23 +124,26 @@ def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording
         raise BadInput("give --sensor and --clean, or --catalogue")
     if not 1 <= arguments.frames <= _MOST_FRAMES:
         raise BadInput(f"--frames {arguments.frames}: must be from 1 to {_MOST_FRAMES}")
+    now_at("loading libraries")
     import jax
     import numpy as np
 
+    from cannoise_jax.commands.drawing import Drawing
     from cannoise_jax.commands.scenes import scenes
     from cannoise_jax.physics.core.sensor import Settings
     from cannoise_jax.recordings.atomic import new_folder, one_work
     from cannoise_jax.recordings.native import write_recording
     from cannoise_jax.recordings.unfinished import is_finished
 
+    now_at("reading the camera model and the scenes")
     model = _sensor(arguments.sensor, arguments.mechanisms)
     if arguments.unit is not None:
         model = model.with_unit(jax.random.key(arguments.unit))
     iso = float(np.asarray(model.iso)[0]) if arguments.iso is None else arguments.iso
     if arguments.gain is not None:
         iso = iso_of_gain(arguments.gain)
-    settings = Settings(iso, arguments.exposure, arguments.temperature, arguments.frames)
     _check_noise(model, iso, f"--iso {iso:.9g}" if arguments.gain is None else f"--gain {arguments.gain:g}")
+    settings = Settings(iso, arguments.exposure, arguments.temperature, arguments.frames)
     clean_scenes = scenes(arguments.clean, model.cfa, arguments.size or _stored_size(model))
     paths = [arguments.out / _name(clean, settings, arguments.gain, arguments.unit) for clean in clean_scenes]
     for clean, path in zip(clean_scenes, paths, strict=True):
@@ -151,12 +158,16 @@ def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording
         # Raises BadInput where the unit's measured maps are of another size; draws nothing.
         jax.eval_shape(lambda size=size: model.with_maps(size).mechanisms)
     key, tell = jax.random.key(arguments.seed), progress("drawing recordings")
+    drawing = Drawing()
     with new_folder(arguments.out), one_work(paths):
         for number, (clean, path) in enumerate(zip(clean_scenes, paths, strict=True)):
+            tell(number, len(clean_scenes), path.name)
             # By name, so that a dark and a flat of two calls have no noise in common.
             own = jax.random.fold_in(key, zlib.crc32(path.name.encode()))
-            recording = dataclasses.replace(record(model, own, clean, settings), gain_db=arguments.gain)
-            write_recording(path, recording)
+            draw = partial(_drawn, model, own, clean, settings)
+            with drawing.told(path.name, settings.frames, clean.values.size, draw):
+                recording = dataclasses.replace(record(model, own, clean, settings), gain_db=arguments.gain)
+            write_recording(path, recording, progress(f"writing frames of {path.name}", alone=False))
             yield path, recording
             tell(number + 1, len(clean_scenes))
 
@@ -230,6 +241,13 @@ def record(model: SensorModel, key: jax.Array, clean: Clean, settings: Settings)
         code_step=float(np.asarray(model.code_step)),
         reference="independent" if clean.kind == "scene" else None,
     )
+
+
+def _drawn(model: SensorModel, key: jax.Array, clean: Clean, settings: Settings, frames: int) -> None:
+    """Draws so many frames and drops them: how long that takes is wanted."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        model.sample(key, clean.values, dataclasses.replace(settings, frames=frames)).block_until_ready()
 
 
 def _stored_size(model: SensorModel) -> tuple[int, int]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import difflib
 import json
-import logging
 import re
 import runpy
 import signal
@@ -25,7 +24,7 @@ from typing import Any
 from absl import flags
 from ml_collections import ConfigDict, config_flags
 
-from cannoise_jax.commands.entry import command
+from cannoise_jax.commands.entry import command, show_warnings
 from cannoise_jax.commands.entry import progress as progress_of
 from cannoise_jax.commands.interrupts import after_loading
 from cannoise_jax.commands.pulse import now_at
@@ -82,7 +81,7 @@ def main(argv: list[str] | None = None) -> int:
         print(_help())
         return 0
     started = time.monotonic()
-    logging.basicConfig(format="bin/train: %(message)s", level=logging.WARNING)
+    show_warnings("train")
     workdir = None
     try:
         with _interruptible() as check:
@@ -165,8 +164,7 @@ def _read_flags(arguments: list[str]) -> tuple[ConfigDict, Path, flags.FlagValue
         raise
     except Exception as error:  # a config file is a program: it may raise anything
         _refuse_unknown_field(arguments, error)
-        reason = " ".join(str(error).split())
-        raise BadInput(f"--config: cannot be read: {type(error).__name__}: {reason}") from error
+        raise BadInput(f"--config: cannot be read: {type(error).__name__}: {error}") from error
     if rest:
         raise BadInput(f"{rest[0]}: not understood: see bin/train --help")
     if not values.workdir:

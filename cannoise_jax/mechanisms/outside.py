@@ -34,7 +34,7 @@ def imported(place: str) -> Any:
                 sys.path.insert(0, "")
             module = importlib.import_module(where)
     except Exception as error:  # whatever the user's code raises
-        words = " ".join(f"{type(error).__name__}: {error}".split())
+        words = f"{type(error).__name__}: {error}"
         start = f": start where {where}.py is" if isinstance(error, ModuleNotFoundError) else ""
         raise BadInput(f"{place}: cannot be imported ({words}){start}") from error
     if not hasattr(module, name):

@@ -17,7 +17,7 @@ from typing import Any
 from cannoise_jax.recordings.fits_cards import EXPOSURES, exposures_in, number_in, text_in
 from cannoise_jax.recordings.kind_words import kinds_in, one_of
 from cannoise_jax.recordings.packing import to_shifted_cfa
-from cannoise_jax.recordings.recording import COLDEST_C, iso_of_gain
+from cannoise_jax.recordings.recording import COLDEST_C, HOTTEST_C, iso_of_gain
 
 _TENTH_DB = re.compile(r"\b(zwo|asi\d|player ?one)", re.IGNORECASE)
 _MONO = re.compile(r"\b(ASI\d+MM|QHY\d+M\b|\w+M-PRO MONO)|\bmono(chrome)?\b", re.IGNORECASE)
@@ -27,7 +27,6 @@ _SCENES = ("light", "object", "scene", "science", "snap", "tricolor", "image")
 _ISO = ("ISO", "ISOSPEED", "ISO-SPEE")
 _EGAIN = ("EGAIN", "E-GAIN")
 _TEMPERATURES = ("CCD-TEMP", "CCDTEMP", "TEMPERAT", "DET-TEMP", "SENSTEMP")
-_WARMEST_C = 150.0
 _COMBINED = ("NCOMBINE", "STACKCNT", "SNAPSHOT", "NFRAMES", "NUMFRAME", "NSTACK")
 
 
@@ -135,7 +134,7 @@ def _doubt(header: Mapping[str, Any]) -> str | None:
 
 def _celsius(value: float | None) -> float | None:
     """A temperature that a sensor may have: programs also write kelvin."""
-    return value if value is not None and value <= _WARMEST_C else None
+    return value if value is not None and value <= HOTTEST_C else None
 
 
 def gain_db(header: Mapping[str, Any], camera: str | None) -> float | None:

@@ -11,7 +11,7 @@ import dataclasses
 import errno
 import io
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -59,8 +59,11 @@ def open_native(path: str | Path) -> Opened:
     return Opened(frames, known, {"bits": 8} if narrow else {})
 
 
-def write_recording(path: str | Path, recording: Recording) -> None:
-    """Writes a native file: a temporary neighbour first, moved into place when complete.
+def write_recording(
+    path: str | Path, recording: Recording, tell: Callable[[int, int], None] = lambda done, all: None
+) -> None:
+    """Writes a native file: a temporary neighbour first, moved into place when complete. tell: hears how many
+    frames are written, of how many.
 
     Reads the frames in chunks, and between them Ctrl-C is heard. Raises BadInput when it cannot be written,
     or states what no reader takes. Leaves nothing behind then.
@@ -72,7 +75,7 @@ def write_recording(path: str | Path, recording: Recording) -> None:
     try:
         try:
             with _Sink(partial, "w+b") as sink, signals_held() as let_through:
-                _write(sink, recording, let_through)
+                _write(sink, recording, let_through, tell)
                 sink.check()
             os.replace(partial, path)
         finally:
@@ -112,21 +115,25 @@ class _Sink(io.FileIO):
             raise self.failure
 
 
-def _write(sink: _Sink, recording: Recording, between: Callable[[], None]) -> None:
+def _write(
+    sink: _Sink, recording: Recording, between: Callable[[], None], tell: Callable[[int, int], None]
+) -> None:
     # The newest format has checksums: on damaged headers of the older ones the library may never return.
     with h5py.File(sink, "w", libver="latest") as file:
-        _write_dataset(sink, file, "frames", recording.frames, np.dtype(np.uint16), between)
+        for done in _write_dataset(sink, file, "frames", recording.frames, np.dtype(np.uint16)):
+            between()
+            tell(done, recording.count)
         if recording.clean is not None:
-            _write_dataset(sink, file, "clean", recording.clean, np.dtype(np.float32), between)
+            for _ in _write_dataset(sink, file, "clean", recording.clean, np.dtype(np.float32)):
+                between()
         for name in FIELDS:
             value = getattr(recording, name)
             if value is not None:
                 file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) and value else value
 
 
-def _write_dataset(
-    sink: _Sink, file: h5py.File, name: str, values: Any, dtype: np.dtype, between: Callable[[], None]
-) -> None:
+def _write_dataset(sink: _Sink, file: h5py.File, name: str, values: Any, dtype: np.dtype) -> Iterator[int]:
+    """Writes the values in parts; after each, how many along the first axis are written."""
     shape = tuple(values.shape)
     chunk = (1, *shape[1:]) if len(shape) == 3 else shape
     target = file.create_dataset(
@@ -137,7 +144,7 @@ def _write_dataset(
         target[at : at + len(part)] = part
         at += len(part)
         sink.check()
-        between()
+        yield at
 
 
 def _view(path: Path, dataset: h5py.Dataset, widened: bool = False) -> LazyArray:

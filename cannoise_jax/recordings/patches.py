@@ -77,7 +77,7 @@ def write_patches(
             raise OSError("the disk took only a part of the patches")
         os.replace(partial, folder)
     except (OSError, RuntimeError) as error:
-        raise BadInput(f"{folder}: cannot be written: {' '.join(str(error).split())}") from error
+        raise BadInput(f"{folder}: cannot be written: {error}") from error
     finally:
         shutil.rmtree(partial, ignore_errors=True)
     return open_patches(folder)
@@ -160,7 +160,7 @@ def open_patches(folder: str | Path) -> PatchStore:
     except FileNotFoundError as error:
         raise BadInput(f"{folder}: holds no patch store (no {_INDEX})") from error
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise BadInput(f"{folder / _INDEX}: not a readable index: {' '.join(str(error).split())}") from error
+        raise BadInput(f"{folder / _INDEX}: not a readable index: {error}") from error
     if index.get("schema") != SCHEMA:
         raise BadInput(f"{folder / _INDEX}: schema {index.get('schema')!r}: expected {SCHEMA!r}")
     _check_size(folder / _RECORDS, len(store) * _layout(store.tile).itemsize)

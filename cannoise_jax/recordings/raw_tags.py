@@ -13,7 +13,7 @@ import numpy as np
 import tifffile
 
 from cannoise_jax.recordings.metadata import quiet
-from cannoise_jax.recordings.recording import BadInput, PerChannel, per_channel
+from cannoise_jax.recordings.recording import COLDEST_C, HOTTEST_C, BadInput, PerChannel, per_channel
 from cannoise_jax.recordings.stated_values import MOST_NLF
 from cannoise_jax.recordings.tiff_chain import check_chain
 
@@ -122,6 +122,7 @@ def exif_of(path: str | Path) -> dict[str, Any]:
     for name, value in tags.items():
         if name.endswith(("CameraTemperature", "SensorTemperature")):
             number = str(value).split()[0] if str(value) else ""
-            if number.lstrip("-").replace(".", "", 1).isdigit():
+            plain = number.removeprefix("-").replace(".", "", 1).isdigit()
+            if plain and COLDEST_C <= float(number) <= HOTTEST_C:  # some makers count in a unit of their own
                 known["temperature_c"] = float(number)
     return known

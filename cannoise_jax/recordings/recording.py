@@ -7,6 +7,7 @@ Values are normalised as (DN - black) / (white - black): 0 is the black level, 1
 
 from __future__ import annotations
 
+import re
 import reprlib
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -23,8 +24,8 @@ LIT = ("scene", "flat")
 REFERENCES = ("independent", "burst_mean")
 COLDEST_C = -273.15
 """Absolute zero."""
-HOTTEST_C = 1000.0
-"""What is hotter is no sensor, and none of its temperatures."""
+HOTTEST_C = 150.0
+"""Silicon records nothing beyond; what is higher is in kelvin, or a slip."""
 SHORTEST_S, LONGEST_S = 1e-9, 1e6
 """Exposures beyond are in another unit, or slips; biases may state 0."""
 LEAST = 2.0**-126
@@ -39,6 +40,7 @@ PerChannel = tuple[float, float, float, float]
 """One value per site of the 2x2 mosaic cell, in mosaic order (0,0), (0,1), (1,0), (1,1)."""
 
 
+_BREAKS = re.compile(r"\s*[\t\n\v\f\r\x1c-\x1e\x85\u2028\u2029]\s*")
 _LONGEST_LINE = 880
 """Characters of a message: some name every mechanism that there is."""
 
@@ -54,15 +56,17 @@ def in_one_line(value: object) -> str:
 
 
 def printable(text: str) -> str:
-    """A text with a question mark for what no line can show, as names of files may hold."""
-    return "".join(c if c.isprintable() else "?" for c in text)
+    """A text in one line: a space for breaks and tabs, a question mark for what else no line can show. Names
+    of files may hold them, and what a terminal takes for orders."""
+    return "".join(c if c.isprintable() else "?" for c in _BREAKS.sub(" ", text).rstrip())
 
 
 class BadInput(ValueError):
-    """Input that cannot be used: one line that names the file, what is wrong, and what to do about it."""
+    """Input that cannot be used: one printable line that names the file, what is wrong, and what to do about
+    it."""
 
     def __str__(self) -> str:
-        line = " ".join(super().__str__().splitlines())  # names of files may hold line breaks
+        line = printable(super().__str__())
         if len(line) <= _LONGEST_LINE:
             return line
         # A file may hold a name of any length; who it is and what to do stand at the ends.

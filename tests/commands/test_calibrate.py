@@ -41,8 +41,8 @@ def folder(tmp_path):
     return recordings
 
 
-def test_writes_a_model_with_what_it_found(folder, tmp_path, capsys):
-    out = tmp_path / "sensor.json"
+def test_writes_a_model_with_what_it_found_into_a_new_folder(folder, tmp_path, capsys):
+    out = tmp_path / "new" / "deeper" / "sensor.json"
     assert main(["--recordings", str(folder), "--out", str(out)]) == 0
     text = capsys.readouterr().out
     for expected in ("system gain", "PRNU1288", "row_noise", "in the model", "saturates"):
@@ -51,13 +51,13 @@ def test_writes_a_model_with_what_it_found(folder, tmp_path, capsys):
     assert np.allclose(model.gain_dn_per_e, GAIN, rtol=0.03)
     assert np.allclose(model.read_noise_e, READ, rtol=0.05)
     assert np.allclose(model.black_level, BLACK, atol=0.5)
-    sheet = (tmp_path / "sensor_emva1288.html").read_text()
+    sheet = (out.parent / "sensor_emva1288.html").read_text()
     assert "Photon transfer" in sheet and "made" in sheet
-    assert json.loads((tmp_path / "sensor_emva1288.json").read_text())["camera"] == "made"
-    assert len((tmp_path / "sensor_profile.csv").read_text().splitlines()) == 5
-    profiles = json.loads((tmp_path / "sensor_profile.json").read_text())["profiles"]
+    assert json.loads((out.parent / "sensor_emva1288.json").read_text())["camera"] == "made"
+    assert len((out.parent / "sensor_profile.csv").read_text().splitlines()) == 5
+    profiles = json.loads((out.parent / "sensor_profile.json").read_text())["profiles"]
     assert abs(profiles[0]["shot"] * (16383 - BLACK) / GAIN - 1) < 0.03
-    assert "noiseprofiles" in json.loads((tmp_path / "sensor_darktable.json").read_text())
+    assert "noiseprofiles" in json.loads((out.parent / "sensor_darktable.json").read_text())
     strengths = {f.mechanism: f.parameters for f in model.mechanisms}
     assert abs(strengths["row_noise"]["sigma_dn"] - 2.0) < 0.2
     assert set(strengths) <= {"row_noise", "offset_drift"}, "only row noise was put in"

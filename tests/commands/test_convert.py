@@ -126,13 +126,20 @@ def test_unusable_input_and_output_get_one_line(tmp_path, capsys):
     refused(capsys, "none: no such file or folder", tmp_path / "none", "--dry-run")
     refused(capsys, "none: no such file or folder", tmp_path / "none", tmp_path / "set", "--dry-run")
     refused(capsys, "good.h5: exists", good, good)
-    refused(capsys, "no such folder", good, tmp_path / "none" / "out.h5")
+    refused(capsys, "good.h5: is a file: name a folder for out.h5", good, good / "none" / "out.h5")
     refused(capsys, "ends in .h5", good, tmp_path / "out.tif")
     refused(capsys, "is not below white level", good, out, "--black-level", "2000")
     (tmp_path / "empty").mkdir()
     refused(capsys, "name a folder for the output", tmp_path / "empty", out)
     refused(capsys, "stored codes start at 0", good, out, "--black-level=-5")
     refused(capsys, "holds no recordings", tmp_path / "empty", tmp_path / "new")
+
+
+def test_folders_that_do_not_exist_are_made(tmp_path, capsys):
+    good, out = write_native(tmp_path / "good.h5", FRAMES), tmp_path / "a" / "b" / "c" / "out.h5"
+    refused(capsys, "is not below white level", good, out, "--black-level", "2000")
+    assert not (tmp_path / "a").exists()
+    assert run(good, out) == 0 and out.is_file()
 
 
 def test_overwriting_is_asked_for_and_may_replace_an_input(tmp_path, capsys):

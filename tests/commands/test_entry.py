@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import subprocess
@@ -107,6 +108,13 @@ def test_warnings_of_libraries_are_dropped_and_own_ones_are_a_line(capsys):
 
     assert main() == 3
     assert capsys.readouterr().err == "bin/x: ISO 9 lies outside\n"
+
+
+def test_a_line_of_the_log_shows_no_orders_to_the_terminal(monkeypatch, capsys):
+    monkeypatch.setattr(logging.root, "handlers", [])
+    entry.show_warnings("x")
+    logging.warning("%s: odd", "a\x1b[2J\nb")
+    assert capsys.readouterr().err == "bin/x: a?[2J b: odd\n"
 
 
 def test_an_interruption_is_one_line(capsys):

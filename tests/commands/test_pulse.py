@@ -12,6 +12,7 @@ import time
 import pytest
 
 from cannoise_jax.commands import pulse as pulses
+from cannoise_jax.commands.drawing import Drawing
 from cannoise_jax.commands.pulse import Pulse, Stream
 
 CLEAR = "\r\x1b[K"
@@ -149,3 +150,26 @@ def test_a_command_ends_its_work_where_what_it_prints_cannot_be_kept(closed, tmp
     assert done.returncode == 0, done.stderr
     assert list(made.iterdir()) and "Traceback" not in done.stderr
     assert ("what it prints is lost: No space left" in done.stderr) == (closed == ">/dev/full")
+
+
+def test_a_long_drawing_says_how_long_it_takes_from_two_frames_and_then_from_the_last(monkeypatch):
+    now, asked, pulse = [0.0], [], Pulse("x")
+    monkeypatch.setattr(pulses, "_CURRENT", [pulse])
+    drawing = Drawing(lambda: now[0])
+
+    def draw(frames):
+        asked.append(frames)
+        now[0] += frames * 0.5
+
+    with drawing.told("a.h5", 100, 10**6, draw):
+        assert pulse.words() == "drawing 100 frames of a.h5, about 50 s left"
+        now[0] += 30.0
+        assert pulse.words() == "drawing 100 frames of a.h5, about 20 s left"
+        now[0] += 20.0
+        assert pulse.words().endswith("nearly done")
+        now[0] += 50.0
+    with drawing.told("b.h5", 60, 10**6, draw):
+        assert pulse.words() == "drawing 60 frames of b.h5, about 60 s left"
+    with drawing.told("c.h5", 1, 10**6, draw):
+        assert pulse.words() == "drawing 1 frame of c.h5"
+    assert asked == [2, 2] and pulse.words() == "bin/x is at work"

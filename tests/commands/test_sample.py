@@ -162,6 +162,21 @@ def test_an_array_has_the_colour_order_of_the_reference(model, tmp_path):
     assert read_recording(tmp_path / "out" / "clean_B.h5").cfa == "GBRG"
 
 
+def test_levels_that_change_nothing_are_said_and_others_are_not(model, tmp_path, capsys):
+    array, bare = good(tmp_path), tmp_path / "bare.npy"
+    np.save(bare, np.random.default_rng(0).normal(BLACK + 200, 8, (2, 64, 64)).astype(np.uint16))
+    stated, recorded = write(tmp_path / "ref.h5"), write(tmp_path / "scene.h5")
+    assert run(model, array, stated, tmp_path / "a", "--white-level", 300) == 0
+    said = capsys.readouterr().err
+    assert said.startswith("bin/sample: --white-level: not used: the clean images are normalised, and ")
+    assert said.count("\n") == 1 and said.endswith("--reference-white-level replaces them\n")
+    assert read_recording(tmp_path / "a" / "good_B.h5").white_level == WHITE
+    assert run(model, array, bare, tmp_path / "b", "--cfa", "GBRG", *LEVELS) == 0
+    assert run(model, recorded, stated, tmp_path / "c", "--white-level", 300) == 0
+    assert run(model, array, "A", tmp_path / "d", "--iso", 100, *LEVELS) == 0
+    assert "not used" not in capsys.readouterr().err
+
+
 def test_a_folder_of_arrays_and_recordings_gives_one_file_each(model, tmp_path):
     (tmp_path / "in").mkdir()
     np.save(tmp_path / "in" / "a.npy", np.full((64, 64), 0.1, np.float32))

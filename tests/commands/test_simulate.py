@@ -158,7 +158,10 @@ def test_bad_input_is_one_line_and_status_2(arguments, message, sensor, tmp_path
         ),
         *(("--iso", v, "a number above 0, at most 1e+09") for v in ("0", "inf", "nan", "2e9", "1e-320")),
         *(("--gain", v, "a gain in dB, at most 200") for v in ("inf", "nan", "-201", "loud")),
-        *(("--temperature", v, "degrees Celsius, -273.15 or more") for v in ("nan", "inf", "-300", "1e-320")),
+        *(
+            ("--temperature", v, "degrees Celsius, -273.15 to 150")
+            for v in ("nan", "inf", "-300", "1000", "1e-320")
+        ),
         *(
             (flag, v, "a whole number from 0 to 4294967295")
             for flag in ("--seed", "--unit")
@@ -211,9 +214,9 @@ def test_nothing_is_written_over(sensor, tmp_path, capsys):
 
 
 def test_catalogue_needs_a_place(tmp_path, capsys):
-    assert main(["--catalogue", "--out", str(tmp_path / "absent" / "page.html")]) == 2
-    assert "no such folder" in capsys.readouterr().err
     (tmp_path / "page.html").write_text("precious")
+    assert main(["--catalogue", "--out", str(tmp_path / "page.html" / "page.html")]) == 2
+    assert "page.html: is a file: name a folder for page.html" in capsys.readouterr().err
     assert main(["--catalogue", "--out", str(tmp_path / "page.html")]) == 2
     assert "--force" in capsys.readouterr().err and (tmp_path / "page.html").read_text() == "precious"
 
@@ -227,7 +230,7 @@ def test_catalogue_entry_has_its_pictures_and_words():
 
 
 def test_a_full_disk_leaves_no_folder(tmp_path, monkeypatch, capsys):
-    def full(path, recording):
+    def full(path, recording, tell):
         raise BadInput(f"{path}: cannot be written: no space left on the disk")
 
     monkeypatch.setattr("cannoise_jax.recordings.native.write_recording", full)

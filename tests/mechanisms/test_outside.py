@@ -15,6 +15,7 @@ from cannoise_jax.commands import simulate
 from cannoise_jax.mechanisms import MECHANISMS
 from cannoise_jax.mechanisms.outside import entries_at
 from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.core.mechanism import Parameter
 from cannoise_jax.physics.core.sensor_json import write_sensor
 from cannoise_jax.recordings.native import read_recording
 from cannoise_jax.recordings.recording import BadInput
@@ -135,6 +136,10 @@ def test_a_name_of_the_package_cannot_be_taken(droop):
         ({"sample": None}, "draws nothing"),
         ({"parameters": ()}, "has no strength"),
         ({"scales": "width"}, "has no strength"),
+        (
+            {"parameters": (Parameter("maps", "DN", 0, 1, 0.5, "spread"),), "scales": "maps"},
+            "cannot be named maps",
+        ),
         ({"point": Point("readout", "signal", "pixle", "redrawn")}, "over is 'pixle'"),
         ({"point": Point("readout", "signal", "row", "frozne")}, "time is 'frozne'"),
         ({"point": Point("light", "mean", "row", "frozen")}, "stage is 'light'"),

@@ -71,6 +71,19 @@ def test_adding_a_mechanism_leaves_the_other_draws_alone():
     assert np.abs(change.mean(axis=1)).max() > 5
 
 
+def test_a_mechanism_that_the_model_has_is_added_again_only_where_asked():
+    once = MODEL.with_mechanism("row_noise", sigma_dn=3.0)
+    with pytest.raises(ValueError, match=r"row_noise: the model has it: .*without\('row_noise'\)") as caught:
+        once.with_mechanism("row_noise", sigma_dn=4.0)
+    assert "\n" not in str(caught.value)
+    other = once.without("row_noise").with_mechanism("row_noise", sigma_dn=4.0)
+    assert [f.parameters["sigma_dn"] for f in other.mechanisms] == [4.0]
+    both = once.with_mechanism("row_noise", sigma_dn=4.0, again=True)
+    means = np.asarray(both.sample(KEY, FLAT, Settings(frames=64)), np.float64).mean(2)
+    spread = (means - means.mean(0)).std()
+    assert abs(spread / 5.0 - 1) < 0.1, "independent: variances add"
+
+
 def test_with_and_without():
     model = MODEL.with_mechanism("in_camera_denoising").with_mechanism("row_noise", sigma_dn=1.0)
     assert [f.mechanism for f in model.mechanisms] == ["row_noise", "in_camera_denoising"], "chain order"

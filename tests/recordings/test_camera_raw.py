@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import rawpy
 
-from cannoise_jax.recordings import camera_raw
+from cannoise_jax.recordings import camera_raw, raw_tags
 from cannoise_jax.recordings.camera_raw import read_camera_raw
 from cannoise_jax.recordings.load import load_recording
 from cannoise_jax.recordings.packing import pack
@@ -185,3 +185,11 @@ def test_masked_pixels_give_the_black_level_that_no_tag_states(tmp_path):
     assert opened.known["black_level"] == (70, 71, 70, 71) and opened.about["black_from"] == "masked pixels"
     stated = write_dng(tmp_path / "b.dng", raw, black=(64, 64, 64, 64), active=(4, 0, 68, 96))
     assert camera_raw.open_camera_raw(stated).known["black_level"] == (64,) * 4
+
+
+@pytest.mark.parametrize(("stated", "taken"), [("31", 31.0), ("-4 C", -4.0), ("165", None), ("--5", None)])
+def test_a_temperature_that_no_sensor_has_is_not_taken(stated, taken, tmp_path, monkeypatch):
+    (tmp_path / "a.cr2").write_bytes(b"")
+    tags = {"MakerNote CameraTemperature": stated}
+    monkeypatch.setattr(raw_tags.exifread, "process_file", lambda file, details: tags)
+    assert raw_tags.exif_of(tmp_path / "a.cr2").get("temperature_c") == taken

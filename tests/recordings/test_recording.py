@@ -36,6 +36,19 @@ def test_a_message_keeps_both_ends_of_what_a_file_holds():
     )
 
 
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("in/a\x1b[2Jb.npy: broken", "in/a?[2Jb.npy: broken"),
+        ("in/a\r\n  b.npy\t: broken\n", "in/a b.npy : broken"),
+        ("in/\udcff\u202e.npy: broken", "in/??.npy: broken"),
+        ("in/two  spaces é.npy: broken", "in/two  spaces é.npy: broken"),
+    ],
+)
+def test_a_message_is_one_printable_line_whatever_a_name_holds(text, line):
+    assert str(BadInput(text)) == line
+
+
 def test_a_colour_order_in_small_letters_is_checked_as_of_files():
     recording = Recording(np.zeros((2, 4, 6), np.uint16), "rggb", (0.0,) * 4, 255.0)
     assert checked(recording).cfa == "RGGB"

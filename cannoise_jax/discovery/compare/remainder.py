@@ -63,7 +63,7 @@ def with_remainder(
 
 def _added(model: SensorModel, maps: dict[str, np.ndarray]) -> SensorModel:
     full = {name: jnp.asarray(values, jnp.float32) for name, values in maps.items()}
-    return model.with_mechanism(RESIDUAL, maps=full)
+    return model.with_mechanism(RESIDUAL, maps=full, again=True)
 
 
 def _shares(

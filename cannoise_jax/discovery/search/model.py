@@ -217,4 +217,6 @@ def with_addition(
     law = more.scaling or record.scaling
     if law.doubling_c is not None and law.reference_temperature_c is None:
         law = dataclasses.replace(law, reference_temperature_c=temperature_c)
-    return model.with_mechanism(more.record or id, point=point, scaling=law, maps=more.maps, **values)
+    return model.with_mechanism(
+        more.record or id, point=point, scaling=law, maps=more.maps, again=True, **values
+    )

@@ -47,7 +47,7 @@ def with_pedestals(model: SensorModel, prepared: Prepared) -> SensorModel:
         values: dict[str, Any] = {name: float(v) for name, v in zip(LEVELS, level, strict=True)}
         values["exposure_s"], values["below_s"] = float(at), float(times[max(k - 1, 0)])
         values["above_s"] = float(times[min(k + 1, times.size - 1)])
-        model = model.with_mechanism(PEDESTAL, **values)
+        model = model.with_mechanism(PEDESTAL, again=True, **values)
     return model
 
 

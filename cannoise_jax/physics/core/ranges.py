@@ -17,9 +17,12 @@ import numpy as np
 
 from cannoise_jax.physics.core.grammar import Point, contradiction
 from cannoise_jax.physics.core.mechanism import Mechanism, Parameter, Scaling
+from cannoise_jax.physics.core.setting_numbers import check_numbers
 from cannoise_jax.physics.core.settings import Fitted, IsoTable, Settings
-from cannoise_jax.recordings.recording import CFA_PATTERNS, COLDEST_C, LEAST, MOST, in_one_line
+from cannoise_jax.recordings.recording import CFA_PATTERNS, LEAST, MOST, in_one_line
 
+LARGEST = float(np.finfo(np.float32).max)
+"""Numbers are kept as float32."""
 HIGHEST_CODE = 65535
 """Of 16 bits, as frames are stored."""
 _MAY_BE_NONE = ("doubling_c", "reference_iso", "reference_temperature_c")
@@ -48,11 +51,19 @@ def known(value: Any, what: str) -> np.ndarray | None:
             raise TypeError
         numbers = numbers.astype(np.float64)
     except (TypeError, ValueError):
-        raise ValueError(f"{what} is {reprlib.repr(value)}, not a finite number") from None
-    if not np.all(np.abs(numbers) <= np.finfo(np.float32).max):  # holds for nan
-        worst = numbers[~(np.abs(numbers) <= np.finfo(np.float32).max)].flat[0]
-        raise ValueError(f"{what} is {worst:g}, not a finite number")
+        raise ValueError(f"{what} is {reprlib.repr(value)}, {not_held(value)}") from None
+    if not np.all(np.abs(numbers) <= LARGEST):  # holds for nan
+        worst = float(numbers[~(np.abs(numbers) <= LARGEST)].flat[0])
+        raise ValueError(f"{what} is {worst:g}, {not_held(worst)}")
     return numbers
+
+
+def not_held(value: Any) -> str:
+    """Why a value is no number of a camera model, in words."""
+    plain = isinstance(value, int | float) and not isinstance(value, bool)
+    if plain and LARGEST < abs(value) < float("inf"):
+        return f"more than {LARGEST:.2g}, the largest number that is kept: check its unit"
+    return "not a finite number"
 
 
 def check_baseline(iso, gain_dn_per_e, read_noise_e, black_level, white_level, code_step, cfa: str) -> None:
@@ -215,20 +226,16 @@ def check_key(key: Any) -> None:
 
 
 def check_taken(clean: Any, settings: Settings) -> None:
-    """What is recorded and how: a finite mosaic [H, W], an ISO above 0, a time from 0, at least one frame."""
+    """What is recorded and how: a finite mosaic [H, W], and one setting (see `check_numbers`)."""
     if not isinstance(settings, Settings):
         raise TypeError(f"settings is a {type(settings).__name__}: expected Settings(iso=..., frames=...)")
-    iso, seconds = known(settings.iso, "iso"), known(settings.exposure_s, "exposure_s")
-    if iso is not None and not LEAST <= iso <= MOST:
-        raise ValueError(f"iso must be above 0, at most {MOST:g}, got {iso:g}")
-    if seconds is not None and not seconds >= 0:
-        raise ValueError(f"exposure_s must be 0 or more, got {seconds:g}")
-    if settings.temperature_c is not None:
-        celsius = known(settings.temperature_c, "temperature_c")
-        if celsius is not None and not celsius >= COLDEST_C:
-            raise ValueError(f"temperature_c must be {COLDEST_C:g} or more, got {celsius:g}")
-    if not is_whole(settings.frames, 2**31 - 1) or settings.frames < 1:
-        raise ValueError(f"frames must be a whole number from 1, got {reprlib.repr(settings.frames)}")
+    check_numbers(settings)  # again: what comes out of a tree of JAX was not checked
+    for name in ("iso", "exposure_s", "temperature_c"):
+        value = getattr(settings, name)
+        if value is None and name != "temperature_c":  # among the axes of vmap None is one
+            raise ValueError(f"{name} is None: give a number")
+        if np.size(value) != 1:
+            raise ValueError(f"{name} has {np.size(value)} values: give one, and jax.vmap for several")
     shape = np.shape(clean)
     if len(shape) != 2 or 0 in shape:
         raise ValueError(f"clean must be a mosaic [H, W], got shape {shape}")

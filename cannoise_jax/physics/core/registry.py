@@ -27,6 +27,10 @@ def mechanism(id: str) -> Mechanism:
     return found
 
 
+RESERVED = frozenset({"scaling", "maps", "point", "again"})
+"""What `SensorModel.with_mechanism` takes beside parameters."""
+
+
 def check_record(record: Mechanism) -> None:
     """Raises ValueError for a mechanism from outside that has the name of one of the package, draws nothing,
     or has no strength or place."""
@@ -39,6 +43,8 @@ def check_record(record: Mechanism) -> None:
     names = [p.name for p in record.parameters]
     if not names or (record.scales or names[0]) not in names:
         raise ValueError(f"{record.id}: has no strength: `scales` names one of its parameters ({names})")
+    if taken := sorted(RESERVED.intersection(names)):
+        raise ValueError(f"{record.id}: a parameter cannot be named {taken[0]}: choose another name")
     choices = {"stage": STAGES, "acts_on": ACTS_ON, "over": SITES, "time": TIMES}
     for axis, known in choices.items():
         value = getattr(record.point, axis, None)

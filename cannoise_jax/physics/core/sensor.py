@@ -157,16 +157,24 @@ class SensorModel:
         scaling: Scaling | None = None,
         maps: dict[str, Array] | None = None,
         point: Point | None = None,
+        again: bool = False,
         **parameters,
     ) -> SensorModel:
         """The model with one more mechanism; parameters not given take their typical values.
 
         mechanism: a name of the package; an entry or record of one's own; or any name with `point`, a bare
         place in the grammar. Parameters: numbers or `IsoTable`s, maybe traced; they hold at the scaling law's
-        reference setting. Raises TypeError for what is no mechanism, ValueError for unknown names, numbers
-        outside the parameter's range (as its record states it), and maps that the mechanism does not have.
+        reference setting. again: one more of a name that the model has, as of two waves. For other parameters
+        take the first out: `model.without(name).with_mechanism(name, ...)`. Raises TypeError for what is no
+        mechanism, ValueError for a name that the model has (without again), unknown names, numbers outside
+        the parameter's range (as its record states it), and maps that the mechanism does not have.
         """
         record = _record(mechanism, point)
+        if not again and any(f.mechanism == record.id for f in self.mechanisms):
+            raise ValueError(
+                f"{record.id}: the model has it: take that out with without({record.id!r}), or add one more "
+                "with again=True"
+            )
         id, known = record.id, record.defaults()
         unknown = sorted(set(parameters) - set(known))
         if unknown:

@@ -17,7 +17,7 @@ import numpy as np
 from cannoise_jax.physics.core import registry
 from cannoise_jax.physics.core.grammar import Point, bare
 from cannoise_jax.physics.core.mechanism import HasRecord, Mechanism, Scaling
-from cannoise_jax.physics.core.ranges import check_point, is_whole
+from cannoise_jax.physics.core.ranges import LARGEST, check_point, is_whole, not_held
 from cannoise_jax.physics.core.settings import IsoTable
 from cannoise_jax.recordings.recording import per_channel
 
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 IMPLEMENTATION = "threefry2x32"
 _KEY_WORDS = {IMPLEMENTATION: 2, "rbg": 4, "unsafe_rbg": 4}
-_LARGEST = float(np.finfo(np.float32).max)
 _MAY_BE_NULL = ("doubling_c", "reference_iso", "reference_temperature_c")
 _KINDS: dict[Any, str] = {str: "text", list: "a list", dict: "entries by name"}
 
@@ -98,8 +97,8 @@ def _of_kind(value: Any, what: str, kind: type) -> Any:
 
 def _number(value: Any, what: str) -> np.float32:
     plain = isinstance(value, int | float) and not isinstance(value, bool)
-    if not plain or not abs(value) <= _LARGEST:  # holds for nan, and for integers of any size
-        raise ValueError(f"{what} is {reprlib.repr(value)}, not a finite number")
+    if not plain or not abs(value) <= LARGEST:  # holds for nan, and for integers of any size
+        raise ValueError(f"{what} is {reprlib.repr(value)}, {not_held(value)}")
     return np.float32(value)
 
 
@@ -201,9 +200,9 @@ def _with_entry(
         name: _parameter(v, f"{id}: {name}")
         for name, v in entry_of(entry, "parameters", dict, f"{id}: ").items()
     }
-    reserved = {"scaling", "maps", "point"} & set(parameters)
+    reserved = sorted(registry.RESERVED & set(parameters))
     if reserved:
-        raise ValueError(f"{id} has no parameter {reserved.pop()}")
+        raise ValueError(f"{id} has no parameter {reserved[0]}")
     point = _point(id, entry.get("grammar"))
     # A typical value is for those who compose a model: a file that leaves one out is damaged.
     record = _record(id, point, known, entry.get("home"))
@@ -221,5 +220,6 @@ def _with_entry(
         scaling=_scaling(id, entry.get("scaling", {})),
         maps={name: jnp.asarray(maps[key]) for name, key in named.items()},
         point=point,
+        again=True,
         **parameters,
     )

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -18,43 +17,45 @@ from cannoise_jax.physics.core import registry
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Context, Mechanism, Scaling, scaling_factor
 from cannoise_jax.physics.core.poisson_gaussian import electrons_from_nlf
-from cannoise_jax.recordings.recording import COLDEST_C, Recording
+from cannoise_jax.physics.core.setting_numbers import check_numbers
+from cannoise_jax.recordings.recording import Recording
 
 Numbers = Array | np.ndarray | np.floating | float
 """Numbers as they come: of NumPy outside jit, traced inside."""
 
 
-def _check(value: Any, words: str, holds: Callable[[float], bool]) -> None:
-    if isinstance(value, (str, bytes, list)):
-        raise ValueError(f"{words}, got {value!r}")
-    plain = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
-    if plain and not (math.isfinite(value) and holds(value)):
-        raise ValueError(f"{words}, got {value:g}")
-
-
-@jax.tree_util.register_dataclass
+@jax.tree_util.register_pytree_with_keys_class
 @dataclass(frozen=True)
 class Settings:
     """How a recording is taken. Temperature None: that at which the model's parameters hold.
 
-    An argument of jit and vmap like any other: numbers are traced, frames is part of its structure.
-    Raises ValueError for numbers that no recording has; traced ones and arrays pass.
+    An argument of jit and vmap like any other: numbers are traced, frames is part of its structure. The axes
+    of its numbers under vmap are `jax.tree.map(lambda value: 0, settings)`.
+    Raises ValueError for numbers that no recording has, of Python, NumPy or JAX; traced ones pass.
     """
 
     iso: float = 100.0
     exposure_s: float = 0.01
     temperature_c: float | None = None
-    frames: int = field(default=1, metadata={"static": True})
+    frames: int = 1
 
     def __post_init__(self) -> None:
-        # Only plain numbers: JAX also puts tracers, arrays and axis numbers (0) here.
-        _check(self.iso, "iso must be above 0", lambda v: v > 0 or type(v) is int and v == 0)
-        _check(self.exposure_s, "exposure_s must be 0 or more", lambda v: v >= 0)
-        _check(self.temperature_c, f"temperature_c must be {COLDEST_C:g} or more", lambda v: v >= COLDEST_C)
-        # Frames are no leaf of the tree, so that JAX puts nothing of its own there.
-        if self.frames is None or isinstance(self.frames, bool):
-            raise ValueError(f"frames must be a whole number from 1, got {self.frames}")
-        _check(self.frames, "frames must be a whole number from 1", lambda v: v >= 1 and v == int(v))
+        check_numbers(self)
+
+    def tree_flatten_with_keys(self) -> tuple[tuple[tuple[Any, Any], ...], int]:
+        """Its numbers by name, and the frames."""
+        return tuple((jax.tree_util.GetAttrKey(name), getattr(self, name)) for name in _NUMBERS), self.frames
+
+    @classmethod
+    def tree_unflatten(cls, frames: int, numbers: Sequence[Any]) -> Settings:
+        """Without a check: JAX puts tracers, axes and marks of its own where the numbers were."""
+        made = object.__new__(cls)
+        for name, value in zip((*_NUMBERS, "frames"), (*numbers, frames), strict=True):
+            object.__setattr__(made, name, value)
+        return made
+
+
+_NUMBERS = ("iso", "exposure_s", "temperature_c")
 
 
 DEFAULT = Settings()

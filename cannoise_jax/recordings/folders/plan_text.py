@@ -24,8 +24,7 @@ def text(plan: Plan) -> str:
         ]
     lines += [f"note: {note}" for note in plan.notes]
     lines += [f"missing or contradictory: {problem}" for problem in plan.problems]
-    # Names of files may hold line breaks, and what a terminal takes for orders.
-    return "\n".join(printable(" ".join(line.splitlines())) for line in lines)
+    return "\n".join(map(printable, lines))
 
 
 def _row(group: Group) -> tuple[str, str, str, str]:
