@@ -16,6 +16,8 @@ _FEWEST = 8
 """Pixels of a piece, and lines beyond the smooth terms, that say anything."""
 _SMOOTH = 6
 """Waves over all lines that are no part of it: dark charge, and light, may make noise that grows smoothly."""
+_SMOOTHER = 3.0
+"""Mean square of those waves over that of lines which are independent, from which on they are smooth noise."""
 _CAPPED = 1e-3
 """Chance of a pixel whose sum of squares counts as no more than this: those that blink are no part of it."""
 _LOUDEST = 3.0
@@ -34,10 +36,12 @@ class Squares(NamedTuple):
 
 class Loudness(NamedTuple):
     """Logarithm of the noise power of every line beyond what is smooth over the lines, and of its error the
-    variance. known: lines of pixels enough; freedom: of the lines, once what is smooth is taken out."""
+    variance. ratio: what lines differ by over what pieces of them do, mean squares. known: lines of pixels
+    enough; freedom: of the lines, once what is smooth is taken out."""
 
     logs: Float[np.ndarray, "k"]
     error: float
+    ratio: float
     known: Bool[np.ndarray, "k"]
     freedom: int
     pieces: int
@@ -50,11 +54,10 @@ class Loudness(NamedTuple):
     @property
     def chance(self) -> float:
         """With which lines that are equally loud differ as much, natural logarithm."""
-        ratio = float(np.sum(self.logs**2)) / self.freedom / self.error
-        tail = float(stats.f.sf(ratio, self.freedom, self.freedom * (self.pieces - 1)))
+        tail = float(stats.f.sf(self.ratio, self.freedom, self.freedom * (self.pieces - 1)))
         if tail > 1e-200:
             return float(np.log(tail))
-        return float(stats.norm.logsf((ratio - 1) * np.sqrt(self.freedom / 2)))
+        return float(stats.norm.logsf((self.ratio - 1) * np.sqrt(self.freedom / 2)))
 
 
 def within_lines(
@@ -77,10 +80,9 @@ def _bounded(power: np.ndarray, usable: np.ndarray, freedom: int) -> np.ndarray:
 
 
 class _Parted(NamedTuple):
-    """Logarithms of the noise power of lines, beyond what is smooth over them, mean squares of those and of
-    what pieces of lines differ by beside, each per piece."""
+    """Mean squares of what the noise power of lines differs by beyond what is smooth over them, and of what
+    pieces of lines differ by beside, logarithms, each of a line."""
 
-    rough: Float[np.ndarray, "k"]
     of_lines: float
     of_pieces: float
 
@@ -89,10 +91,9 @@ def _parted(logs: Float[np.ndarray, "k s"], terms: np.ndarray) -> _Parted:
     """Two-way analysis of variance of pieces of lines."""
     lines, pieces = logs.shape
     means = logs.mean(1)
-    rough = means - terms @ np.linalg.lstsq(terms, means, rcond=None)[0]
+    rough = _beyond(means, terms)
     apart = logs - means[:, None] - logs.mean(0) + logs.mean()
     return _Parted(
-        rough,
         float(np.sum(rough**2)) / (lines - terms.shape[1]),
         float(np.sum(apart**2)) / ((lines - 1) * (pieces - 1)) / pieces,
     )
@@ -126,9 +127,35 @@ def loudness(
         turns = _parted((logs(halves[0]) - logs(halves[1])) / 2, terms)
         beyond = turns.of_lines - turns.of_pieces
         moving = beyond if beyond > _PLAIN * turns.of_pieces * np.sqrt(2 / spare) else 0.0
-    rough = np.zeros(len(known))
-    rough[known] = found.rough
-    return Loudness(rough, max(found.of_pieces + moving, 1e-12), known, spare, pieces)
+    error, rough = max(found.of_pieces + moving, 1e-12), np.zeros(len(known))
+    own = _own_powers(
+        (whole.squares if axis == "row" else whole.squares.T) / whole.freedom, usable, whole.freedom
+    )
+    logs_of = np.log(np.maximum(own[known], 1e-6))
+    rough[known] = _beyond(logs_of, terms)
+    white = float(np.sum(rough**2)) / spare
+    smooth = _beyond(logs_of, terms[:, [0, -1]]) - rough[known]
+    # As much as lines that have nothing to do with each other give is theirs.
+    if np.sum(smooth**2) < _SMOOTHER * white * _SMOOTH:
+        rough[known] += smooth
+    return Loudness(rough, error, found.of_lines / error, known, spare, pieces)
+
+
+def _own_powers(power: np.ndarray, usable: np.ndarray, freedom: int) -> Float[np.ndarray, "k"]:
+    """Mean power of every line, to which no pixel adds more than chance gives once in a thousand beside the
+    others of its line: however loud that is."""
+    law = stats.chi2(freedom, scale=1 / freedom)
+    most = float(law.isf(_CAPPED))
+    left = float(stats.chi2.cdf(freedom * most, freedom + 2)) + most * _CAPPED
+    count = np.maximum(usable.sum(1), 1)
+    scale = np.sum(power * usable, 1) / count
+    for _ in range(8):
+        scale = np.sum(np.minimum(power, most * scale[:, None]) * usable, 1) / count / left
+    return scale
+
+
+def _beyond(values: Float[np.ndarray, "k"], terms: Float[np.ndarray, "k m"]) -> Float[np.ndarray, "k"]:
+    return values - terms @ np.linalg.lstsq(terms, values, rcond=None)[0]
 
 
 def _smooth_terms(places: np.ndarray, lines: int) -> Float[np.ndarray, "n k"]:
