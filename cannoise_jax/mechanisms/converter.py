@@ -118,7 +118,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("lossy_compression",
              "Raw codes are rounded to a step that grows with the signal.",
-             44, "sensor", "DN", "code spacing at the white level, DN", listed=47),
+             44, "sensor", "DN", "code spacing at the white level, DN", listed=49),
         LOSSY_COMPRESSION,
         needs="flats at ten levels up to the white level",
         signatures=lambda recorded: (

@@ -235,7 +235,7 @@ ENTRIES: tuple[Entry, ...] = (
         Term("compensated_dark_current",
              "Noise of a dark current whose mean the camera's black clamp subtracts: it grows with the "
              "exposure, the level of the darks does not.",
-             None, "sensor", "e-/s", "mean dark current, e-/s", listed=51, says_exposure=True),
+             None, "sensor", "e-/s", "mean dark current, e-/s", listed=53, says_exposure=True),
         COMPENSATED_DARK_CURRENT,
         needs="darks at two exposures or more, two frames of each, exposure_s stated, and flats for the gain",
         signatures=lambda recorded: looks.dark_noise.beside_level(
@@ -277,7 +277,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("clock_induced_charge",
              "Spurious charge of the clocking, the same in every exposure time.",
-             4, "sensor", "e-", "mean charge per pixel and frame, e-", listed=38,
+             4, "sensor", "e-", "mean charge per pixel and frame, e-", listed=40,
              says_exposure=True),
         CLOCK_INDUCED_CHARGE,
         needs="several hundred short darks of an electron-multiplying sensor",
@@ -289,7 +289,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("temperature_drift",
              "The temperature, and with it the dark current, moves from frame to frame.",
-             25, "sensor", "K", "rms temperature change, K", listed=42),
+             25, "sensor", "K", "rms temperature change, K", listed=44),
         TEMPERATURE_DRIFT,
         needs="darks with the temperature of every frame stated",
         signatures=looks.always(

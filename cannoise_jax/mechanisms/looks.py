@@ -23,6 +23,7 @@ from cannoise_jax.signatures import (
     levels,
     light,
     line_maps,
+    line_turns,
     lines,
     means,
     memory,

@@ -123,7 +123,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("lens_shading",
              "Sensitivity falls smoothly towards the corners.",
-             15, "sensor", "1", "fraction of the signal lost in the corners", ("prnu",), listed=41),
+             15, "sensor", "1", "fraction of the signal lost in the corners", ("prnu",), listed=43),
         LENS_SHADING,
         needs="flats with a reference of the light falling on the sensor (clean)",
         signatures=lambda recorded: (

@@ -297,7 +297,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("amplifier_drift",
              "The offsets of regions read by different amplifiers move from frame to frame, each by itself.",
-             38, "sensor", "DN", RMS, listed=44),
+             38, "sensor", "DN", RMS, listed=46),
         mechanism_from_grammar(
             Point("readout", "signal", "block", "redrawn"), id="amplifier_drift", default=0.5,
             sentence="Each amplifier sets its own black level anew for every frame: regions step against "
@@ -316,7 +316,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("amplifier_gain",
              "Regions read by different amplifiers differ in gain.",
-             38, "sensor", "1", FRACTION, ("prnu",), listed=45),
+             38, "sensor", "1", FRACTION, ("prnu",), listed=47),
         mechanism_from_grammar(
             Point("readout", "signal", "block", "frozen", "multiply"), id="amplifier_gain", default=0.005,
             sentence="Amplifiers are never quite alike: a flat shows steps where one region ends and the "
@@ -336,7 +336,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("dual_gain",
              "The conversion gain switches at an ISO or at a signal level.",
-             7, "sensor", "1", "relative step of the gain at the switch", listed=39),
+             7, "sensor", "1", "relative step of the gain at the switch", listed=41),
         DUAL_GAIN,
         needs="flats and darks at five ISO values or more",
         signatures=lambda recorded: (

@@ -139,7 +139,7 @@ ENTRIES: tuple[Entry, ...] = (
         Term("brighter_fatter",
              "Collected charge repels further charge: shot noise correlates.",
              12, "sensor", "1/e-", "minus a00: relative loss of shot-noise variance per electron",
-             listed=40),
+             listed=42),
         BRIGHTER_FATTER,
         needs="two frames or more of bright flats",
         signatures=looks.always(
@@ -152,7 +152,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("image_lag",
              "A frame keeps part of the charge of the frame before it.",
-             14, "sensor", "1", "fraction of the charge left behind", listed=43),
+             14, "sensor", "1", "fraction of the charge left behind", listed=45),
         IMAGE_LAG,
         needs="a burst with a change from bright to dark",
         signatures=lambda recorded: (
@@ -164,7 +164,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("smear",
              "Bright pixels leak into their whole column.",
-             11, "sensor", "1", "added signal as a fraction of the column's mean signal", listed=46),
+             11, "sensor", "1", "added signal as a fraction of the column's mean signal", listed=48),
         SMEAR,
         needs="a scene with a saturated light source, two frames or more",
         signatures=looks.always(

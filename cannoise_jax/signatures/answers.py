@@ -25,6 +25,8 @@ from cannoise_jax.signatures.fields import Fields
 SCALINGS = ("additive", "signal", "exposure", "codes")
 """How a pattern grows: not, with the light, with the exposure. The last, of recordings at several gains, is
 added behind the gain: the same number of codes at all of them."""
+BY_TURNS = "column by turns"
+"""Among the lines: columns of which a pattern turns its sign from row to row."""
 _AT_ONE_GAIN = 3
 _NONE = np.zeros((1, 1), np.float32)
 
@@ -168,6 +170,9 @@ def less_map(
 
 def _by_lines(values: np.ndarray, response: np.ndarray, axis: str) -> Float[np.ndarray, "h w"]:
     """The part of the values that the pixels of a line share."""
+    if axis == BY_TURNS:
+        turns = (-1.0) ** np.arange(len(values))[:, None]
+        return _by_lines(values * turns, response, "column") * turns
     along = 1 if axis == "row" else 0
     r = response.astype(np.float64)
     mean = np.sum(values * r, along, keepdims=True) / np.maximum(np.sum(r**2, along, keepdims=True), 1e-30)

@@ -33,13 +33,13 @@ from cannoise_jax.signatures.signature import (
 
 
 def static_score(fields: tuple[Fields, ...], *, axis: str, scaling: str) -> Score[float] | None:
-    """Frozen white pattern of lines, the same in every recording."""
+    """Frozen white pattern of lines, the same in every recording. axis: of `answers`."""
     sums = static_sums(fields, axis, scaling)
     if sums is None:
         return None
     power = sums.score**2 / np.maximum(sums.information, 1e-30)
     largest = np.argsort(-power)[:8]
-    where = {"axis": axis, "index": sorted(int(i) for i in largest)}
+    where = {"axis": "row" if axis == "row" else "column", "index": sorted(int(i) for i in largest)}
     score = component_score(power, sums.information, np.ones(power.shape), scaling=scaling, where=where)
     if scaling != "exposure":
         return score

@@ -17,7 +17,7 @@ _FEWEST = 8
 _SMOOTH = 6
 """Waves over all lines that are no part of it: dark charge, and light, may make noise that grows smoothly."""
 _SMOOTHER = 3.0
-"""Mean square of those waves over that of lines which are independent, from which on they are smooth noise."""
+"""Mean square of those waves, over that of independent lines, from which on they are noise that is smooth."""
 _CAPPED = 1e-3
 """Chance of a pixel whose sum of squares counts as no more than this: those that blink are no part of it."""
 _LOUDEST = 3.0
