@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from cannoise_jax.recordings.folders.groups import MODE
+from cannoise_jax.recordings.folders.groups import differing
 from cannoise_jax.recordings.folders.names import listed
-from cannoise_jax.recordings.folders.plan import CaptureGroups, Plan, word_of
+from cannoise_jax.recordings.folders.plan import CaptureGroups, Plan
 
 _USED = "used: "
 
@@ -15,11 +15,8 @@ def used_line(plan: Plan) -> str:
     if not others:
         return ""
     first = main.groups[0].mode
-    differ = [
-        f"{name.replace('_', ' ')} {word_of(value, name)}"
-        for n, (name, value) in enumerate(zip(MODE, first, strict=True))
-        if any(one.groups[0].mode[n] != value for one in others)
-    ]
+    apart = (pair for one in others for pair in differing(first, one.groups[0].mode))
+    differ = dict.fromkeys(f"{name.replace('_', ' ')} {own}" for name, own, _ in apart)
     files, rest = _files(main), [(one.folder, _files(one)) for one in others]
     lost = {name for _, names in rest for name in names} - set(files)
     if not lost:

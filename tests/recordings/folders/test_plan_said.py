@@ -101,8 +101,8 @@ def test_an_average_a_copy_and_a_picture_are_no_frames(tmp_path):
     assert "dark_again.fits: the same pixels as dark_1.fits" in said and "1 .jpg" in said
     for name in (
         "master_bias.fits: an average",
-        "b.fits: an average, no frame (20 frames)",
-        "c.fits: an average",
+        "b.fits: an average or sum, no frame (20 frames by NCOMBINE)",
+        "c.fits: an average or sum",
     ):
         assert name in said
 
