@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from cannoise_jax.recordings.folders.groups import differing
+from cannoise_jax.recordings.folders.levels import GUESSED
 from cannoise_jax.recordings.folders.names import listed
 from cannoise_jax.recordings.folders.plan import CaptureGroups, Plan
 
@@ -33,6 +34,12 @@ def used_line(plan: Plan) -> str:
 def used_of(said: str) -> str:
     """The line of `used_line` in what was said of a folder; empty where there is none."""
     return next((line for line in said.splitlines() if line.startswith(_USED)), "")
+
+
+def guessed_white_of(said: str) -> str:
+    """That the white level was guessed, from what was said of a folder; empty where it was not."""
+    line = next((line for line in said.splitlines() if "white level" in line and GUESSED in line), "")
+    return f"Guessed, and with it what is normalised: {line.removeprefix('note: ')}" if line else ""
 
 
 def _files(one: CaptureGroups) -> list[str]:
