@@ -113,6 +113,14 @@ def test_a_pedestal_that_all_frames_have_is_said(tmp_path):
     assert not plan.problems and len(plan.sets) == 1 and "PEDESTAL -100: so programs mark" in notes(plan)
 
 
+def test_a_folder_of_sums_alone_is_refused_in_one_line_that_says_it_once(tmp_path):
+    for n in (1, 2):
+        shot(tmp_path / f"flat_{n}.fits", "flat", EXPTIME=1.0, COADDS=10)
+    with pytest.raises(BadInput) as caught:
+        check(plan_folder(tmp_path))
+    assert str(caught.value).count("averages or sums, no frames (10 frames by COADDS)") == 1
+
+
 def test_single_files_of_two_readouts_are_not_joined(tmp_path):
     paths = [
         shot(tmp_path / f"dark_{n}.fits", "dark", EXPTIME=1.0, IMAGETYP="Dark", EMGAIN=300 * n + 1)

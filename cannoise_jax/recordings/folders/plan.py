@@ -116,7 +116,8 @@ def plan_folder(
 def check(plan: Plan) -> None:
     """Raises BadInput, in one line that lists everything, where the plan has problems."""
     if plan.problems:
-        raise BadInput(f"{plan.folder}: " + "; ".join((*plan.problems, *filter(_may_be_why, plan.notes))))
+        why = [n for n in plan.notes if _may_be_why(n) and not any(n in words for words in plan.problems)]
+        raise BadInput(f"{plan.folder}: " + "; ".join((*plan.problems, *why)))
 
 
 def _may_be_why(note: str) -> bool:
