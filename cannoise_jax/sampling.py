@@ -150,6 +150,10 @@ def sample_noise(
     draw = initial_noise_of(params)
     if any(jnp.iscomplexobj(image) for image in (clean, noisy_ref)):
         raise ValueError("clean and noisy_ref must be real")
+    if any(jnp.asarray(image).dtype == bool for image in (clean, noisy_ref)):
+        raise ValueError(
+            "clean and noisy_ref must be numbers, 0 black and 1 white: these are truths, as of a mask"
+        )
     clean, noisy_ref = jnp.asarray(clean, jnp.float32), jnp.asarray(noisy_ref, jnp.float32)
     _check(clean, "clean")
     _check(noisy_ref, "noisy_ref")

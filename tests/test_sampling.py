@@ -372,6 +372,11 @@ def test_one_number_is_no_noise_level(model):
         sample_noise(model, jax.random.key(0), scene(32, 32), noisy(jax.random.key(1)), (0.01,))
 
 
+def test_truths_are_refused(model):
+    with pytest.raises(ValueError, match="these are truths"):
+        sample_noise(model, jax.random.key(1), scene(32, 32) > 0, noisy(jax.random.key(2)))
+
+
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_values_that_are_not_finite_are_refused(model, value):
     key, image, reference = jax.random.key(0), scene(32, 32), noisy(jax.random.key(1))

@@ -56,7 +56,7 @@ def _run(arguments: argparse.Namespace) -> int:
     beside = _beside(arguments.out)
     for path in beside.values():
         check_file(path, path.suffix, arguments.force)
-    from cannoise_jax.recordings.folders.aside import used_of
+    from cannoise_jax.recordings.folders.aside import guessed_white_of, used_of
     from cannoise_jax.recordings.folders.store import capture_of
     from cannoise_jax.recordings.usable import usable
 
@@ -89,7 +89,8 @@ def _run(arguments: argparse.Namespace) -> int:
     for note in notes:
         print(note, end="\n\n")
     now_at("drawing the sheet")
-    texts = _texts(beside, model.camera, shown, capture, (*notes, *_doubted(transfers)))
+    guessed = filter(None, [guessed_white_of(plan)])
+    texts = _texts(beside, model.camera, shown, capture, (*notes, *_doubted(transfers), *guessed))
     with (
         new_folder(arguments.out.parent),
         texts_in_place(texts, (arguments.out, arguments.out.with_suffix(".npz"))),

@@ -118,6 +118,11 @@ def _check_modes(inputs: list[Path]) -> None:
                     f"is {v}" if v is not None else "is not stated" for v in (here.get(name), there.get(name))
                 ]
                 raise BadInput(f"{path}: {what} {words[0]}, of {first} it {words[1]}: join equal settings")
+        said, other = (dict(one.get("settings") or ()) for one in (here, there))
+        for word in (word for word in said if word in other and said[word] != other[word]):
+            raise BadInput(
+                f"{path}: {word} is {said[word]}, of {first} it is {other[word]}: join equal settings"
+            )
 
 
 def _is_folder(arguments: argparse.Namespace) -> bool:
@@ -135,6 +140,8 @@ def _convert_folder(arguments: argparse.Namespace) -> int:
 
     source, *rest = arguments.paths
     chosen = options(arguments)
+    if rest and rest[0].resolve() == source.resolve():
+        raise BadInput(f"{rest[0]}: is the folder that is read: name another one for what is converted")
     if rest and _inside(rest[0], source):
         raise BadInput(f"{rest[0]}: lies inside {source}: name a folder elsewhere for what is converted")
     if rest and not arguments.dry_run and not rest[0].is_file():

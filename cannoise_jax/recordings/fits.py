@@ -53,7 +53,8 @@ def read_fits(path: str | Path, **overrides: Any) -> Recording:
     known, words = stated(opened.known), opened.about.get("image_type")
     if opened.about.get("combined"):
         raise BadInput(
-            f"{path}: an average of frames, no raw frame ({opened.about['combined']}): give the raw frames"
+            f"{path}: an average or sum of frames, no raw frame ({opened.about['combined']}): give the raw "
+            "frames"
         )
     if words and "kind" not in known and overrides.get("kind") is None:
         _log.warning("%s: IMAGETYP %r is unknown: taken for a scene; --kind states it", path, words)

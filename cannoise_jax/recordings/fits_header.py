@@ -15,19 +15,26 @@ from datetime import datetime, timedelta
 from typing import Any
 
 from cannoise_jax.recordings.fits_cards import EXPOSURES, exposures_in, number_in, text_in
+from cannoise_jax.recordings.fits_readout import (
+    NOT_STATED,
+    binning_of,
+    combined_of,
+    doubted_count,
+    pedestal_doubt,
+    settings_of,
+)
 from cannoise_jax.recordings.kind_words import kinds_in, one_of
 from cannoise_jax.recordings.packing import to_shifted_cfa
 from cannoise_jax.recordings.recording import COLDEST_C, HOTTEST_C, iso_of_gain
 
 _TENTH_DB = re.compile(r"\b(zwo|asi\d|player ?one)", re.IGNORECASE)
 _MONO = re.compile(r"\b(ASI\d+MM|QHY\d+M\b|\w+M-PRO MONO)|\bmono(chrome)?\b", re.IGNORECASE)
-_NOT_STATED = ("", "none", "unknown", "n/a", "na", "-")
 _KINDS = (("bias", "bias"), ("zero", "bias"), ("offset", "bias"), ("dark", "dark"), ("flat", "flat"))
 _SCENES = ("light", "object", "scene", "science", "snap", "tricolor", "image")
 _ISO = ("ISO", "ISOSPEED", "ISO-SPEE")
 _EGAIN = ("EGAIN", "E-GAIN")
-_TEMPERATURES = ("CCD-TEMP", "CCDTEMP", "TEMPERAT", "DET-TEMP", "SENSTEMP")
-_COMBINED = ("NCOMBINE", "STACKCNT", "SNAPSHOT", "NFRAMES", "NUMFRAME", "NSTACK")
+_TEMPERATURES = ("CCD-TEMP", "CCDTEMP", "TEMPERAT", "DET-TEMP", "SENSTEMP", "CAM-TEMP", "TEMP")
+"""The last is of Andor."""
 
 
 def kind_of(image_type: str) -> str | None:
@@ -40,6 +47,17 @@ def kind_of(image_type: str) -> str | None:
     return next((kind for word, kind in (*_KINDS, *((s, "scene") for s in _SCENES)) if word in words), None)
 
 
+def _image_type(header: Mapping[str, Any]) -> str:
+    """What a header says that the frame shows. FRAME of INDI is a kind, of Andor the time of the frame."""
+    frame = text_in(header, "FRAME")
+    kind = "" if re.search(r"\d{4}", frame) or not re.search("[A-Za-z]{2}", frame) else frame
+    return text_in(header, "IMAGETYP") or kind or text_in(header, "OBSTYPE")
+
+
+def _camera(header: Mapping[str, Any]) -> str | None:
+    return text_in(header, "INSTRUME", "CAMERA", "DETNAM", "HEAD") or None
+
+
 _NO_COLOURS = ("", "MONO", "NONE", "MONOCHROME", "GRAY", "GREY", "GRAYSCALE", "GREYSCALE")
 
 
@@ -47,7 +65,7 @@ def known_of(header: Mapping[str, Any]) -> dict[str, Any]:
     """The fields of a recording that a header states."""
     pattern = text_in(header, "BAYERPAT", "COLORTYP").upper()
     shift = _whole(header, "YBAYROFF"), _whole(header, "XBAYROFF")
-    camera = text_in(header, "INSTRUME", "CAMERA", "DETNAM") or None
+    camera = _camera(header)
     # What is neither a cell of 2x2 nor a word for none is handed on, to be refused by what it says.
     cfa = None if pattern in _NO_COLOURS else pattern
     if cfa is not None and len(cfa) == 4:
@@ -58,7 +76,7 @@ def known_of(header: Mapping[str, Any]) -> dict[str, Any]:
         cfa = "MONO"
     decibels = gain_db(header, camera)
     iso = number_in(header, _ISO, 1)
-    image_type = text_in(header, "IMAGETYP", "FRAME", "OBSTYPE")
+    image_type = _image_type(header)
     return {
         "cfa": cfa,
         "white_level": number_in(header, ("SATURATE", "SATLEVEL"), 1),
@@ -75,39 +93,34 @@ def known_of(header: Mapping[str, Any]) -> dict[str, Any]:
 def about_of(header: Mapping[str, Any], planes: int = 1) -> dict[str, Any]:
     """What a header states beside the fields of a recording, see `opened.Opened`; planes: of the image, which
     a header may count without meaning an average of as many."""
-    camera = text_in(header, "INSTRUME", "CAMERA", "DETNAM") or None
+    camera = _camera(header)
     scaled = gain_db(header, camera) is not None or number_in(header, _ISO, 1) is not None
     gain = number_in(header, ("GAIN",), 0)
     if number_in(header, _EGAIN, 1e-6) is None and _egain(header, scaled) is not None:
         gain = None
-    frames = next(
-        (n for name in _COMBINED if (n := number_in(header, (name,), 2)) not in (None, planes)), None
-    )
-    image_type = text_in(header, "IMAGETYP", "FRAME", "OBSTYPE")
+    image_type = _image_type(header)
     words = next((w for w in ("master", "stacked", "combined", "super") if w in image_type.lower()), None)
-    binning = tuple(number_in(header, (f"{a}BINNING", f"CCD{a}BIN"), 1) or 1.0 for a in "XY")
-    if binning == (1, 1) and (summed := re.fullmatch(r"([1-9]\d?) +([1-9]\d?)", text_in(header, "CCDSUM"))):
-        binning = float(summed[1]), float(summed[2])
     origin = tuple(number_in(header, (f"{a}ORGSUBF",), 0) or 0.0 for a in "XY")
     name = text_in(header, "FILTER")
     return {
-        "doubt": _doubt(header),
+        "doubt": _doubt(header, planes),
         "image_type": image_type or None,
-        "filter": name if name.lower() not in _NOT_STATED else None,
-        "binning": None if binning == (1, 1) else binning,
+        "filter": name if name.lower() not in NOT_STATED else None,
+        "binning": binning_of(header),
         "origin": None if origin == (0, 0) else origin,
         "offset": number_in(header, ("OFFSET", "BLKLEVEL"), 0),
         "mode": text_in(header, "READOUTM", "RDMODE") or None,
         "gain_setting": None if scaled else gain,
         "taken_s": taken_s(header),
         "set_temperature_c": _celsius(number_in(header, ("SET-TEMP",), COLDEST_C)),
-        "combined": f"{frames:g} frames" if frames else f"IMAGETYP {image_type}" if words else None,
+        "settings": settings_of(header),
+        "combined": combined_of(header, planes) or (f"IMAGETYP {image_type}" if words else None),
     }
 
 
 def taken_s(header: Mapping[str, Any]) -> float | None:
     """When the exposure began, in seconds of an epoch of no matter, where the header states date and time."""
-    date, time = text_in(header, "DATE-OBS", "DATE-BEG"), text_in(header, "TIME-OBS", "UT")
+    date, time = text_in(header, "DATE-OBS", "DATE-BEG", "FRAME"), text_in(header, "TIME-OBS", "UT")
     try:
         taken = datetime.fromisoformat(date if "T" in date or not time else f"{date}T{time}")
         universal = taken.replace(tzinfo=None) - (taken.utcoffset() or timedelta())
@@ -116,15 +129,26 @@ def taken_s(header: Mapping[str, Any]) -> float | None:
     return (universal - datetime(1970, 1, 1)).total_seconds()
 
 
-def _doubt(header: Mapping[str, Any]) -> str | None:
-    """What a header says of the exposure that cannot be meant."""
+def _doubt(header: Mapping[str, Any], planes: int) -> str | None:
+    """What a header says that cannot be meant, or that may mean that the frame is no raw one."""
+    said = (_doubted_exposure(header), _doubted_temperature(header), doubted_count(header, planes))
+    return "; ".join(filter(None, (*said, pedestal_doubt(header)))) or None
+
+
+def _doubted_exposure(header: Mapping[str, Any]) -> str | None:
     stated = {name: header[name] for name in EXPOSURES if text_in(header, name)}
     good = exposures_in(header)
     if stated and not good:
         return ", ".join(f"{name} {value!r}" for name, value in stated.items()) + ": no time: not used"
-    if good and max(good.values()) - min(good.values()) > max(1.0, 0.01 * max(good.values())):
+    longest = max(good.values(), default=0.0)
+    # Some programs round to whole seconds: of long exposures that is little, of short ones another exposure.
+    if good and longest - min(good.values()) > min(max(1.0, 0.01 * longest), 0.1 * longest):
         words = [f"{name} {value:g} s" for name, value in good.items()]
         return f"{' and '.join(words)} contradict: {words[0]} is used"
+    return None
+
+
+def _doubted_temperature(header: Mapping[str, Any]) -> str | None:
     for name in (*_TEMPERATURES, "SET-TEMP"):
         celsius = number_in(header, (name,), COLDEST_C)
         if celsius is not None and _celsius(celsius) is None:

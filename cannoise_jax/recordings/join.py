@@ -11,7 +11,7 @@ import numpy as np
 
 from cannoise_jax.recordings.lazy import LazyArray, read_stack
 from cannoise_jax.recordings.metadata import FIELDS
-from cannoise_jax.recordings.recording import BadInput, Recording
+from cannoise_jax.recordings.recording import BadInput, Recording, name_of
 
 # What may drift from file to file while the setting stays the same.
 ALIKE_KELVIN = 2.5
@@ -27,8 +27,8 @@ def join_recordings(recordings: Sequence[Recording]) -> Recording:
     """
     first, *others = recordings
     _check_temperatures(recordings)
-    for other in others:
-        _check_alike(first, other)
+    for number, other in enumerate(others, start=1):
+        _check_alike(first, other, (name_of(first, 0), name_of(other, number)))
     if not others:
         return first
     frames = _join([r.frames for r in recordings])
@@ -44,25 +44,27 @@ def join_recordings(recordings: Sequence[Recording]) -> Recording:
     )
 
 
-def _check_alike(first: Recording, other: Recording) -> None:
+def _check_alike(first: Recording, other: Recording, names: tuple[str, str]) -> None:
     if first.size != other.size:
         sizes = ["{} x {}".format(*r.size) for r in (first, other)]
-        raise BadInput(f"{other.path}: {sizes[1]} pixels, {first.path} has {sizes[0]}: one size a recording")
+        raise BadInput(f"{names[1]}: {sizes[1]} pixels, {names[0]} has {sizes[0]}: one size a recording")
     for name in FIELDS:
         values = getattr(first, name), getattr(other, name)
         if values[0] != values[1] and name not in _DRIFTING:
             advice = f", or set --{name}" if name in ("camera", "kind", "iso") else ""
             raise BadInput(
-                f"{other.path}: {name} is {values[1]}, {first.path}: {values[0]}: join equal settings{advice}"
+                f"{names[1]}: {name} is {values[1]}, {names[0]}: {values[0]}: join equal settings{advice}"
             )
     if (first.clean is None) != (other.clean is None):
-        without = first if first.clean is None else other
-        raise BadInput(f"{without.path}: holds no reference, the other recordings do")
+        without = names[0] if first.clean is None else names[1]
+        raise BadInput(f"{without}: holds no reference, the other recordings do")
 
 
 def _check_temperatures(recordings: Sequence[Recording]) -> None:
     known = sorted(
-        ((r.temperature_c, str(r.path)) for r in recordings if r.temperature_c is not None),
+        (r.temperature_c, name_of(r, number))
+        for number, r in enumerate(recordings)
+        if r.temperature_c is not None
     )
     if not known:
         return

@@ -46,7 +46,8 @@ class Opened(NamedTuple):
       image_type (the header's own words), filter, binning, origin (of a sub-frame), offset (of the camera's
       black, in its own steps), mode (of the readout), gain_setting (in the camera's own unit, where its scale
       is unknown), set_temperature_c, taken_s (when the exposure began, of any epoch),
-      combined (how many frames were averaged or stacked, or the words that say so), black_from (what
+      settings (words of the readout and what they say, see `fits_readout`),
+      combined (how many frames were averaged or added, or the words that say so), black_from (what
       `black_level` was measured on), bits (8 where a file holds no more, whose values are in other units than
       those of 16).
     """

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from cannoise_jax.recordings.one_level import odd_levels
-from cannoise_jax.recordings.recording import DARK, BadInput, Recording, normalise
+from cannoise_jax.recordings.recording import DARK, BadInput, Recording, name_of, normalise
 
 _log = logging.getLogger(__name__)
 
@@ -91,10 +91,10 @@ def check_kinds(recordings: Sequence[Recording]) -> None:
     """Raises BadInput where at one gain setting all flats are darker than all darks: no black level is above
     the light, so that kinds are mistaken, or the darks too long or lit for these flats."""
     levels: dict[tuple, dict[bool, list[tuple[float, str]]]] = {}
-    for r in recordings:
+    for number, r in enumerate(recordings):
         if r.kind == "flat" or r.kind in DARK:
             own = levels.setdefault((r.size, r.iso, r.gain_db), {True: [], False: []})
-            own[r.kind in DARK].append((float(np.median(np.asarray(r.frames[:1]))), str(r.path)))
+            own[r.kind in DARK].append((float(np.median(np.asarray(r.frames[:1]))), name_of(r, number)))
     for own in levels.values():
         if not (own[True] and own[False]):
             continue

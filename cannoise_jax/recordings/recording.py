@@ -140,6 +140,11 @@ class Recording:
         return mosaic_map(self.black_level, self.size)
 
 
+def name_of(recording: Recording, number: int) -> str:
+    """How messages call a recording: by its file, or by its place among others, from 0, and its kind."""
+    return recording.path or f"recording {number + 1} ({recording.kind})"
+
+
 @dataclass(frozen=True, eq=False)
 class CaptureSet:
     """The recordings of one camera: the files of one folder, sorted by name.

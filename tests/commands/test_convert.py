@@ -286,3 +286,11 @@ def test_what_a_folder_lacks_is_listed_once_and_counted(tmp_path, capsys, more):
     (folder / "broken.fits").unlink()
     assert run(folder, tmp_path / "out", *more) == 2
     assert "1 thing is missing or contradictory, see" in capsys.readouterr().err
+
+
+def test_a_folder_is_not_converted_into_itself(tmp_path, capsys):
+    folder = str(night(tmp_path / "in"))
+    assert main([folder, folder]) == 2
+    assert capsys.readouterr().err.endswith(
+        "is the folder that is read: name another one for what is converted\n"
+    )

@@ -43,11 +43,12 @@ def test_columns_of_two_converters_keep_their_gains():
     assert found[[0, 2]] == pytest.approx(0.6, rel=0.02) and found[[1, 3]] == pytest.approx(0.66, rel=0.02)
 
 
-def test_no_iso_is_made_up():
+def test_an_iso_that_stands_for_none_is_said():
     transfers, _ = calibrate(captures())
     (camera,) = darktable_profiles("Maker C", profile_rows(transfers))["noiseprofiles"]
     (profile,) = camera["models"][0]["profiles"]
-    assert profile["iso"] is None and profile["name"] == "Maker C"
+    assert profile["iso"] == 100 and profile["name"] == "Maker C iso 100 (not stated)"
+    assert profile_rows(transfers)[0]["iso"] is None
 
 
 @pytest.mark.parametrize(("dark_s", "said"), [(1.0, False), (1.01, False), (1.7, True), (0.6, True)])

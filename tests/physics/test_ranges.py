@@ -122,6 +122,7 @@ def test_a_mechanism_outside_its_ranges_is_refused_in_one_line(id, change, messa
         (FLAT - 3, Settings(), "so it is not normalised"),
         (500.0 * np.eye(len(FLAT)), Settings(), "clean holds whole numbers up to 500"),
         (np.ma.masked_less(FLAT, 0), Settings(), "clean is a masked array"),
+        (FLAT > 0, Settings(), "clean holds truths, as a mask does"),
         (np.where(np.arange(32) == 3, np.nan, FLAT), Settings(), "clean holds values that are not finite"),
         (FLAT[None], Settings(), r"clean must be a mosaic \[H, W\]"),
     ],

@@ -96,7 +96,7 @@ def test_frames_that_a_header_counts_are_no_average(tmp_path):
     path = write(tmp_path / "a.fits", FRAMES, BAYERPAT="RGGB", NFRAMES=len(FRAMES))
     assert load_recording(path, **LEVELS).count == len(FRAMES)
     path = write(tmp_path / "b.fits", FRAMES, BAYERPAT="RGGB", NFRAMES=len(FRAMES), NCOMBINE=12)
-    with pytest.raises(BadInput, match="an average of frames"):
+    with pytest.raises(BadInput, match="an average or sum of frames"):
         load_recording(path, **LEVELS)
 
 

@@ -61,6 +61,14 @@ def test_recordings_that_no_file_may_hold_are_refused_where_they_are_used(change
     assert "\n" not in str(caught.value)
 
 
+def test_recordings_without_a_file_have_names_in_messages():
+    dim, bright = noisy(), noisy() + np.uint16(500)
+    own = (dataclasses.replace(recording(bright), kind="dark"), recording(dim))
+    said = r"recording 2 \(flat\): the brightest flat, .* is darker than recording 1 \(dark\)"
+    with pytest.raises(BadInput, match=said):
+        usable(CaptureSet("c", own))
+
+
 def test_a_set_without_recordings_is_refused():
     with pytest.raises(BadInput, match="^c: holds no recordings"):
         usable(CaptureSet("c", ()))

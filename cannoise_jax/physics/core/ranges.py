@@ -241,6 +241,10 @@ def check_taken(clean: Any, settings: Settings) -> None:
         raise ValueError(f"clean must be a mosaic [H, W], got shape {shape}")
     if isinstance(clean, np.ma.MaskedArray):
         raise ValueError("clean is a masked array: give the values to draw, as clean.filled(0)")
+    if not isinstance(clean, jax.core.Tracer) and np.asarray(clean).dtype.kind == "b":
+        raise ValueError(
+            "clean holds truths, as a mask does: give the light on every pixel, 0 black, 1 white"
+        )
     if not isinstance(clean, jax.core.Tracer) and np.asarray(clean).dtype.kind == "c":
         raise ValueError("clean holds complex values: give real ones")
     if not isinstance(clean, jax.core.Tracer) and not np.isfinite(np.asarray(clean)).all():

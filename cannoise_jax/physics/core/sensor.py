@@ -210,10 +210,14 @@ class SensorModel:
     def sample(
         self, key: Key[Array, ""], clean: Float[Array | np.ndarray, "h w"], settings: Settings = DEFAULT
     ) -> UInt16[Array, "t h w"]:
-        """Frames in DN of a clean mosaic (normalised): `uint16[T, H, W]`. Works under jit; outside it, a
-        setting beyond the calibrated range draws one `ExtrapolationWarning`, what `ranges.check_taken`
-        refuses raises ValueError, and what is no key TypeError. Under jit the values of `clean` are not
-        known, so that one in DN is not refused: its frames are at the last code."""
+        """Frames in DN of a clean mosaic (normalised): `uint16[T, H, W]`.
+
+        Values above 1 are light beyond the white level, as of highlights or flats that are too bright: their
+        pixels are full. What no scene has is refused: a median above 4, values below -0.5, whole numbers
+        above 4, truths. Works under jit; outside it, a setting beyond the calibrated range draws one
+        `ExtrapolationWarning`, what `ranges.check_taken` refuses raises ValueError, and what is no key
+        TypeError. Under jit the values of `clean` are not known, so that one in DN is not refused: its frames
+        are at the last code."""
         ranges.check_key(key)
         ranges.check_taken(clean, settings)
         warn_outside(self, settings)

@@ -11,6 +11,7 @@ import numpy as np
 
 from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer, channels_of, of_all_pixels
+from cannoise_jax.recordings.recording import iso_numbers
 
 
 def profile_rows(transfers: Sequence[PhotonTransfer]) -> list[dict[str, Any]]:
@@ -52,9 +53,12 @@ def profile_csv(rows: Sequence[dict[str, Any]]) -> str:
 
 def darktable_profiles(camera: str, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """The layout of darktable's noiseprofiles.json: a and b of the variance a x + b for red, green and
-    blue of each ISO, greens averaged; an ISO that is not stated is null. Of raw values before demosaicing."""
+    blue of each ISO, greens averaged. darktable needs a number for the ISO: where none is stated, that by
+    which the camera model knows the setting stands for it, and the name says so. Of raw values before
+    demosaicing.
+    """
     maker, _, model = camera.partition(" ")
-    profiles = []
+    profiles, numbers = [], iso_numbers(row["iso"] for row in rows)
     for iso in dict.fromkeys(row["iso"] for row in rows):
         own = [row for row in rows if row["iso"] == iso]
         decibels = own[0]["gain_db"]
@@ -66,9 +70,8 @@ def darktable_profiles(camera: str, rows: Sequence[dict[str, Any]]) -> dict[str,
 
         profiles.append(
             {
-                # Where no file states an ISO, none is made up: it is to be filled in.
-                "name": camera if iso is None else f"{camera} iso {round(iso)}{made_of}",
-                "iso": None if iso is None else round(iso),
+                "name": f"{camera} iso {round(numbers[iso])}{made_of if iso else ' (not stated)'}",
+                "iso": round(numbers[iso]),
                 "a": [mean("shot", colour) for colour in "RGB"],
                 "b": [mean("read", colour) for colour in "RGB"],
             }

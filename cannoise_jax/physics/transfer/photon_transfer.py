@@ -56,7 +56,7 @@ from cannoise_jax.physics.transfer.views import (
     with_all_sites,
 )
 from cannoise_jax.recordings.packing import ALL, PACKED_CHANNELS, site, to_mosaic_order
-from cannoise_jax.recordings.recording import BadInput, CaptureSet, PerChannel, Recording
+from cannoise_jax.recordings.recording import BadInput, CaptureSet, PerChannel, Recording, name_of
 
 _ENOUGH = 0.05
 """Share of the pixels of a channel that have to be left of a recording."""
@@ -193,12 +193,13 @@ def _code_step(statistics: Sequence[FrameStatistics]) -> float:
 
 def _check_alike(recordings: Sequence[Recording]) -> None:
     first = recordings[0]
-    for other in recordings[1:]:
+    for number, other in enumerate(recordings[1:], start=1):
         for field, what in (("size", "size"), ("cfa", "colour order"), ("white_level", "white level")):
             if getattr(other, field) != getattr(first, field):
                 raise BadInput(
-                    f"{other.path}: {what} {getattr(other, field)} differs from {getattr(first, field)} of "
-                    f"{first.path}: calibrate recordings of one sensor mode together"
+                    f"{name_of(other, number)}: {what} {getattr(other, field)} differs from "
+                    f"{getattr(first, field)} of {name_of(first, 0)}: calibrate recordings "
+                    "of one sensor mode together"
                 )
 
 

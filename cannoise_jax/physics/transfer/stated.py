@@ -11,7 +11,7 @@ import numpy as np
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.black import black_level
 from cannoise_jax.physics.transfer.frames import FrameStatistics
-from cannoise_jax.recordings.folders.sites import other_colours
+from cannoise_jax.recordings.folders.sites import other_colours, two_gains
 from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import DARK, PerChannel, per_channel
 
@@ -30,15 +30,16 @@ _CLIPPED = 0.01
 
 
 def colours_line(statistics: Sequence[FrameStatistics]) -> str:
-    """That the greens of the stated colour order are none, by the brightest flat that does not clip; empty
-    where nothing speaks against it."""
+    """That the greens of the stated colour order are none, or that a sensor without colours has two gains, by
+    the brightest flat that does not clip; empty where nothing speaks of either."""
     black = black_level(statistics).level
     flats = [s for s in statistics if s.recording.kind == "flat" and s.clipped.mean() < _CLIPPED]
     if not flats:
         return ""
     brightest = max(flats, key=lambda s: min(_light(s, black)))
     light = _light(brightest, black)
-    said = other_colours(light, brightest.recording.cfa) if min(light) > 0 else None
+    cfa = brightest.recording.cfa
+    said = (other_colours(light, cfa) or two_gains(light, cfa)) if min(light) > 0 else None
     return f"{_name(brightest)}: {said}" if said else ""
 
 

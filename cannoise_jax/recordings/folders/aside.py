@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from cannoise_jax.recordings.folders.groups import MODE
+from cannoise_jax.recordings.folders.groups import differing
+from cannoise_jax.recordings.folders.levels import GUESSED
 from cannoise_jax.recordings.folders.names import listed
-from cannoise_jax.recordings.folders.plan import CaptureGroups, Plan, word_of
+from cannoise_jax.recordings.folders.plan import CaptureGroups, Plan
 
 _USED = "used: "
 
@@ -15,11 +16,8 @@ def used_line(plan: Plan) -> str:
     if not others:
         return ""
     first = main.groups[0].mode
-    differ = [
-        f"{name.replace('_', ' ')} {word_of(value, name)}"
-        for n, (name, value) in enumerate(zip(MODE, first, strict=True))
-        if any(one.groups[0].mode[n] != value for one in others)
-    ]
+    apart = (pair for one in others for pair in differing(first, one.groups[0].mode))
+    differ = dict.fromkeys(f"{name.replace('_', ' ')} {own}" for name, own, _ in apart)
     files, rest = _files(main), [(one.folder, _files(one)) for one in others]
     lost = {name for _, names in rest for name in names} - set(files)
     if not lost:
@@ -36,6 +34,12 @@ def used_line(plan: Plan) -> str:
 def used_of(said: str) -> str:
     """The line of `used_line` in what was said of a folder; empty where there is none."""
     return next((line for line in said.splitlines() if line.startswith(_USED)), "")
+
+
+def guessed_white_of(said: str) -> str:
+    """That the white level was guessed, from what was said of a folder; empty where it was not."""
+    line = next((line for line in said.splitlines() if "white level" in line and GUESSED in line), "")
+    return f"Guessed, and with it what is normalised: {line.removeprefix('note: ')}" if line else ""
 
 
 def _files(one: CaptureGroups) -> list[str]:

@@ -25,4 +25,5 @@ def with_full_codes(groups: Sequence[Group], full: Sequence[Shot], kinds: Mappin
 def _gain(shot: Shot) -> tuple:
     """What a full code depends on."""
     about, known = shot.about, shot.known
-    return known.get("camera"), shot.shape[1:], known.get("iso"), about.get("gain_setting"), about.get("bits")
+    gains = known.get("iso"), about.get("gain_setting"), about.get("settings")
+    return known.get("camera"), shot.shape[1:], *gains, about.get("bits")

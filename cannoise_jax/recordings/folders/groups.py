@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import PurePath
 from typing import Any
 
 import numpy as np
 
+from cannoise_jax.recordings.fits_readout import unlike
 from cannoise_jax.recordings.folders.lights import by_light, level_of
 from cannoise_jax.recordings.folders.shots import Shot
 from cannoise_jax.recordings.join import ALIKE_KELVIN
@@ -44,9 +45,12 @@ class Group:
         return self.shots[0].shape[1], self.shots[0].shape[2]
 
 
-MODE = ("camera", "size", "binning", "origin", "gain", "offset", "readout", "cfa", "temperature", "bits")
+MODE = (
+    *("camera", "size", "binning", "origin", "gain", "offset", "readout", "cfa", "temperature", "bits"),
+    "settings",
+)
 """What `Group.mode` holds, in this order; the temperature only where the camera regulates it;
-8 bits where files hold no more."""
+8 bits where files hold no more; settings: the words that tell readouts apart, see `readouts`."""
 
 
 def grouped(
@@ -141,7 +145,28 @@ def _mode(
         overrides.get("cfa", known.get("cfa")),
         regulated,
         about.get("bits"),
+        about.get("settings"),
     )
+
+
+def differing(mode: tuple, other: tuple) -> Iterator[tuple[str, str, str]]:
+    """What two modes differ in, and what either holds of it, for people."""
+    for name, here, there in zip(MODE, mode, other, strict=True):
+        if name == "settings":
+            yield from unlike(here, there)
+        elif here != there:
+            yield name, word_of(here, name), word_of(there, name)
+
+
+def word_of(value: Any, name: str) -> str:
+    """What a mode holds under a name of `MODE`, for people."""
+    if value is None:
+        return {"binning": "1x1", "origin": "0x0", "bits": "16"}.get(name, "not stated")
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, tuple):
+        return "x".join(f"{v:g}" for v in value)
+    return str(value)
 
 
 def _same_black(first: tuple, second: tuple) -> bool:

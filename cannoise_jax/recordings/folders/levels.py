@@ -9,7 +9,7 @@ import numpy as np
 
 from cannoise_jax.recordings.folders.groups import Group, seconds
 from cannoise_jax.recordings.folders.lights import level_of
-from cannoise_jax.recordings.folders.sites import Sites, light_of, other_colours, shows_colours
+from cannoise_jax.recordings.folders.sites import Sites, light_of, lines_apart, other_colours, shows_colours
 from cannoise_jax.recordings.recording import DARK, PerChannel, per_channel
 
 _DEPTHS = (255, 1023, 4095, 16383, 65535)
@@ -17,6 +17,10 @@ _SHIFTS = (4, 16, 64, 256)
 """Distances of the codes of converters of 14, 12, 10 and 8 bits that are shifted to 16. Of any other distance
 no converter is common: there the codes have to reach beyond half of 16 bits."""
 _HALF = 32767
+
+
+GUESSED = "the highest value is"
+"""Words by which a white level that nobody states is told from others."""
 
 
 class Levels(NamedTuple):
@@ -72,13 +76,18 @@ def _cfa(groups: Sequence[Group]) -> tuple[str | None, str]:
     light = _light(groups)
     if light is None:
         return None, "the colour order: state it with --cfa (MONO for a monochrome sensor)"
-    if shows_colours(light):
+    if not shows_colours(light):
+        return "MONO", "MONO: no header states colours, and the four sites of the flats are equally bright"
+    if (apart := lines_apart(light.levels)) is None:
         sites = ", ".join(f"{v:.4g}" for v in light.levels)
         return (
             None,
             f"the colour order: the flats show a mosaic (its four sites: {sites}): state it with --cfa",
         )
-    return "MONO", "MONO: no header states colours, and the four sites of the flats are equally bright"
+    return "MONO", (
+        f"MONO: no header states colours, and odd and even {apart.lines} of the flats differ by "
+        f"{100 * apart.share:.2g} %, which no mosaic does: amplifiers of their own, as a rule"
+    )
 
 
 def _light(groups: Sequence[Group]) -> Sites | None:
@@ -154,7 +163,7 @@ def _white(groups: Sequence[Group]) -> tuple[float | None, str]:
         )
     apart = f", codes {step} apart" if step > 1 else ""
     return float(highest), (
-        f"white level {highest} DN: the highest value is {top}{apart}, so of {depth.bit_length()} bits; "
+        f"white level {highest} DN: {GUESSED} {top}{apart}, so of {depth.bit_length()} bits; "
         "where the sensor saturates elsewhere, state it with --white-level"
     )
 

@@ -11,17 +11,19 @@ from typing import Any
 
 from cannoise_jax.recordings.folders.exposures import exposed, judged_exposures
 from cannoise_jax.recordings.folders.full import with_full_codes
-from cannoise_jax.recordings.folders.groups import MODE, Group, grouped
+from cannoise_jax.recordings.folders.groups import Group, differing, grouped
 from cannoise_jax.recordings.folders.kinds import TAKEN_AS_LIGHTS, kinds_of, of_other_kinds
 from cannoise_jax.recordings.folders.lacks import NO_LIGHT, contradictions, lacks
 from cannoise_jax.recordings.folders.levels import Levels, levels
 from cannoise_jax.recordings.folders.names import listed
+from cannoise_jax.recordings.folders.readouts import told_apart
 from cannoise_jax.recordings.folders.shots import Scan, Shot, Tell, matches, scan, unmatched
 from cannoise_jax.recordings.load import UNREAD
 from cannoise_jax.recordings.metadata import folder_name
 from cannoise_jax.recordings.recording import DARK, LIT, BadInput
 
 _LEFT_OUT = ": left out"
+_AVERAGES = "an average or sum, no frame", "averages or sums, no frames"
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,9 @@ def plan_folder(
     leave_out = tuple(leave_out)
     found = scan(folder, leave_out, tell, overrides)
     notes, problems = _notes(found), _failures(found)
+    apart, said = told_apart((*found.shots, *found.full))
+    found = found._replace(shots=tuple(apart[: len(found.shots)]), full=tuple(apart[len(found.shots) :]))
+    notes += said
     notes += [f"--leave-out {p}: no file of such a name" for p in unmatched(folder, leave_out)]
     stated: set[str] = set()
     for pattern, kind in assign:
@@ -111,7 +116,8 @@ def plan_folder(
 def check(plan: Plan) -> None:
     """Raises BadInput, in one line that lists everything, where the plan has problems."""
     if plan.problems:
-        raise BadInput(f"{plan.folder}: " + "; ".join((*plan.problems, *filter(_may_be_why, plan.notes))))
+        why = [n for n in plan.notes if _may_be_why(n) and not any(n in words for words in plan.problems)]
+        raise BadInput(f"{plan.folder}: " + "; ".join((*plan.problems, *why)))
 
 
 def _may_be_why(note: str) -> bool:
@@ -138,9 +144,7 @@ def _notes(found: Scan) -> list[str]:
     for name, why in found.averages:
         by_why.setdefault(why, []).append(name)
     notes = [
-        f"{listed(names)}: {'an average, no frame' if len(names) == 1 else 'averages, no frames'} ({why})"
-        f"{_LEFT_OUT}"
-        for why, names in by_why.items()
+        f"{listed(names)}: {_AVERAGES[len(names) > 1]} ({why}){_LEFT_OUT}" for why, names in by_why.items()
     ]
     by_fault: dict[str, list[str]] = {}
     for name, fault in found.duds:
@@ -198,9 +202,9 @@ def _sets(groups: list[Group], overrides: dict[str, Any]) -> list[CaptureGroups]
         reason = "flats serve, and what lights show moves from frame to frame"
         out.append(("lights", scenes, reason))
     for mode in order[1:]:
-        differs = [(n, a, b) for n, a, b in zip(MODE, mode, order[0], strict=True) if a != b]
-        reason = ", ".join(f"{n} is {word_of(a, n)}, not {word_of(b, n)}" for n, a, b in differs)
-        name = "_".join(f"{n}_{word_of(a, n)}".replace(" ", "_") for n, a, _ in differs[:2])
+        differs = list(differing(mode, order[0]))
+        reason = ", ".join(f"{n} is {a}, not {b}" for n, a, b in differs)
+        name = "_".join(f"{n}_{a}".replace(" ", "_") for n, a, _ in differs[:2])
         out.append((name, by_mode[mode], reason))
     first = CaptureGroups("", _labelled(main), levels(main, overrides))
     rest = []
@@ -257,17 +261,6 @@ def _of_another_camera(one: CaptureGroups, main: CaptureGroups) -> list[str]:
         return []
     names = listed([s.name for g in one.groups for s in g.shots])
     return [f"{names}, of {camera}: {words}; or leave out with --leave-out" for words in one.levels.missing]
-
-
-def word_of(value: Any, name: str) -> str:
-    """What a mode holds under a name of `MODE`, for people."""
-    if value is None:
-        return {"binning": "1x1", "origin": "0x0", "bits": "16"}.get(name, "not stated")
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    if isinstance(value, tuple):
-        return "x".join(f"{v:g}" for v in value)
-    return str(value)
 
 
 def _as_folder(name: str) -> str:

@@ -63,6 +63,36 @@ def shows_colours(light: Sites) -> bool:
     return apart > max(_COLOURED * abs(float(np.mean(light.levels))), _SURE * light.error)
 
 
+class Apart(NamedTuple):
+    """Lines of a sensor, "rows" or "columns", whose odd ones and even ones differ, by this share of their
+    mean."""
+
+    lines: str
+    share: float
+
+
+def lines_apart(light: PerChannel) -> Apart | None:
+    """That the four sites differ as every other row or column does, which no mosaic has, for its greens lie
+    on a diagonal; None where they differ in another way."""
+    apart = float(np.ptp(light))
+    for lines, pairs in (("columns", ((0, 2), (1, 3))), ("rows", ((0, 1), (2, 3)))):
+        if apart > 0 and max(abs(light[a] - light[b]) for a, b in pairs) <= _DIAGONAL * apart:
+            return Apart(lines, apart / max(float(np.mean(light)), 1e-9))
+    return None
+
+
+def two_gains(light: PerChannel, cfa: str) -> str | None:
+    """That odd and even lines of a sensor without colours answer light by gains of their own; None where they
+    do not, or by some per cent."""
+    found = lines_apart(light) if cfa == "MONO" else None
+    if found is None or found.share <= _GREENS_ALIKE:
+        return None
+    return (
+        f"odd and even {found.lines} of the flats differ by {100 * found.share:.0f} %, as where two "
+        "amplifiers read them out: what is measured of all pixels is a mean of both"
+    )
+
+
 def other_colours(light: PerChannel, cfa: str) -> str | None:
     """That flats contradict the stated colour order; None where nothing speaks against it."""
     return _colours_of_mono(light) if cfa == "MONO" else _greens_apart(light, cfa)

@@ -46,7 +46,7 @@ _KEPT = 6
 _MAKING = ".making-"
 _SOURCES = "sources.json"
 """In a cached conversion: the files of every recording, below the folder."""
-_LAYOUT = "9"
+_LAYOUT = "10"
 """Of what is cached, and of how folders are sorted: entries of another layout are not used."""
 
 
@@ -226,8 +226,9 @@ def _key(folder: Path, options: Options) -> str:
 
 
 def facts_of(folder: Path) -> list[tuple[Any, ...]]:
-    """Name, size and time of every file below a folder, in order; of what cannot be looked at the name and
-    None. To read the files would cost more, at every call."""
+    """Name, size and times of every file below a folder, in order; of what cannot be looked at the name and
+    None. To read the files would cost more, at every call. The time of the last change of the entry itself
+    tells of files that were replaced by others of the same size, whose times were kept."""
     facts: list[tuple[Any, ...]] = []
     for root, folders, names in os.walk(folder, onerror=lambda error: facts.append((error.filename, None))):
         folders.sort()
@@ -238,7 +239,7 @@ def facts_of(folder: Path) -> list[tuple[Any, ...]]:
             except OSError:
                 facts.append((str(path), None))
                 continue
-            facts.append((str(path), about.st_size, about.st_mtime_ns))
+            facts.append((str(path), about.st_size, about.st_mtime_ns, about.st_ctime_ns))
     return facts
 
 

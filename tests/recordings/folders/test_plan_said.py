@@ -10,6 +10,7 @@ from astropy.io import fits
 
 from cannoise_jax.commands.calibrate import calibrate
 from cannoise_jax.physics.transfer.model import sensor_model
+from cannoise_jax.recordings.folders.aside import guessed_white_of
 from cannoise_jax.recordings.folders.plan import check, plan_folder
 from cannoise_jax.recordings.folders.plan_text import text
 from cannoise_jax.recordings.folders.store import Options, capture_of
@@ -30,6 +31,12 @@ def test_a_white_level_is_not_guessed_from_darks_alone(tmp_path):
     fits.PrimaryHDU(hot, fits.getheader(tmp_path / "dark_1.fits")).writeto(tmp_path / "dark_3.fits")
     seen = plan_folder(tmp_path, {"cfa": "MONO"})
     assert not seen.problems and seen.sets[0].levels.values["white_level"] == 16383
+
+
+def test_a_white_level_that_was_guessed_is_told_from_one_that_is_stated(tmp_path):
+    guessed = guessed_white_of(text(plan_folder(night(tmp_path))))
+    assert guessed.startswith("Guessed, and with it what is normalised: white level 16383 DN: the highest")
+    assert guessed_white_of(text(plan_folder(tmp_path, {"white_level": 16383.0}))) == ""
 
 
 def test_reasons_that_differ_by_a_number_are_said_once(tmp_path):
@@ -101,8 +108,8 @@ def test_an_average_a_copy_and_a_picture_are_no_frames(tmp_path):
     assert "dark_again.fits: the same pixels as dark_1.fits" in said and "1 .jpg" in said
     for name in (
         "master_bias.fits: an average",
-        "b.fits: an average, no frame (20 frames)",
-        "c.fits: an average",
+        "b.fits: an average or sum, no frame (20 frames by NCOMBINE)",
+        "c.fits: an average or sum",
     ):
         assert name in said
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax.recordings.folders.plan import plan_folder
-from cannoise_jax.recordings.folders.sites import other_colours, site_levels
+from cannoise_jax.recordings.folders.sites import other_colours, site_levels, two_gains
 
 from .night import notes, shot
 
@@ -65,6 +65,31 @@ def test_an_order_whose_greens_are_red_and_blue_is_said(tmp_path):
         assert ("the two greens of GBRG differ by" in notes(plan)) == said and not plan.problems
     assert "differ by" in notes(plan_folder(tmp_path / "RGGB", {"cfa": "GRBG"}))
     assert other_colours(np.array([1200.0, 3000, 2000, 900]), "GBRG") is None  # no order has equal greens
+
+
+@pytest.mark.parametrize("lines", ["columns", "rows"])
+def test_lines_with_gains_of_their_own_are_no_mosaic(tmp_path, lines):
+    light = np.full((24, 32), 3000.0)
+    light[(slice(None), slice(None, None, 2)) if lines == "columns" else slice(None, None, 2)] *= 1.2
+    plan = folder_of(tmp_path, light)
+    assert not plan.problems and plan.sets[0].levels.values["cfa"] == "MONO"
+    assert f"odd and even {lines} of the flats differ by 18 %, which no mosaic does" in notes(plan)
+
+
+@pytest.mark.parametrize(
+    ("light", "said"),
+    [
+        ([1000.0, 1200, 1010, 1190], "odd and even columns of the flats differ by 18 %"),
+        ([1000.0, 990, 1200, 1210], "odd and even rows"),
+        ([1000.0, 1020, 1000, 1020], None),  # by some per cent, as columns do
+        ([1200.0, 3000, 2990, 900], None),  # colours
+        ([0.0, 0, 0, 0], None),
+    ],
+)
+def test_two_gains_of_a_sensor_without_colours_are_said(light, said):
+    found = two_gains(np.array(light), "MONO")
+    assert found is None if said is None else found.startswith(said)
+    assert two_gains(np.array(light), "RGGB") is None
 
 
 @pytest.mark.parametrize(

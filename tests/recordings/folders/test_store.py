@@ -2,11 +2,14 @@
 
 import dataclasses
 import gc
+import os
 import pickle
 import subprocess
 import sys
 
+import numpy as np
 import pytest
+from astropy.io import fits
 
 from cannoise_jax.recordings.folders import store
 from cannoise_jax.recordings.folders.aside import used_of
@@ -117,6 +120,20 @@ def test_a_folder_is_converted_once(tmp_path):
         pass
     assert capture_of(prepared, Options({}), tmp_path / "unused")[1] == ""
     assert not (tmp_path / "unused").exists()
+
+
+def test_files_replaced_by_others_of_the_same_size_and_time_are_converted_again(tmp_path):
+    folder, cache = night(tmp_path / "in"), tmp_path / "cache"
+    before, _ = capture_of(folder, Options({}), cache)
+    for path in folder.glob("flat*"):
+        about = path.stat()
+        other = np.asarray(fits.getdata(path)) + 500
+        fits.PrimaryHDU(other.astype(np.uint16), fits.getheader(path)).writeto(path, overwrite=True)
+        os.utime(path, ns=(about.st_atime_ns, about.st_mtime_ns))
+        assert (path.stat().st_size, path.stat().st_mtime_ns) == (about.st_size, about.st_mtime_ns)
+    after, _ = capture_of(folder, Options({}), cache)
+    levels = [np.mean(next(r for r in c.recordings if r.kind == "flat").frames[:]) for c in (before, after)]
+    assert levels[1] - levels[0] == 500
 
 
 def test_recordings_of_a_converted_folder_are_named_after_its_files(tmp_path, caplog):
