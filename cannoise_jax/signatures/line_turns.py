@@ -60,6 +60,7 @@ def columns(scaling: Scales, *, name: str, parameter: str, covers: tuple[str, ..
 
     return Signature(
         name=name,
+        kin=BY_TURNS,
         axes=Axes("readout", "column", "frozen", scaling, "white"),
         reads=STATIC | reads_light(scaling),
         score=score,

@@ -29,6 +29,9 @@ def _diagonal(rng, t, size):
 PLANTED = {
     "row": lambda rng, t, size: rng.standard_normal((t, size[0], 1)),
     "column": lambda rng, t, size: rng.standard_normal((t, 1, size[1])),
+    "column by turns": lambda rng, t, size: (
+        (-1.0) ** np.arange(size[0])[:, None] * rng.standard_normal((t, 1, size[1]))
+    ),
     "frame": lambda rng, t, size: rng.standard_normal((t, 1, 1)),
     "pixel": lambda rng, t, size: rng.standard_normal((t, *size)),
     **{f"tile_{side}": _tiles(side) for side in (8, 16, 32, 64)},

@@ -186,7 +186,17 @@ def test_an_offset_of_all_codes_does_not_matter(name):
     assert one is not None and same(one, other, 1e-3)
 
 
-ONE_WAY = ("flicker", "row_slope", "row_light", "row_turns_temporal", "smear", "raster_slope", "taps_redrawn")
+ONE_WAY = (
+    "column_turns_additive",
+    "column_turns_relative",
+    "flicker",
+    "row_slope",
+    "row_light",
+    "row_turns_temporal",
+    "smear",
+    "raster_slope",
+    "taps_redrawn",
+)
 """Signatures of the order in which a sensor is read, which have no counterpart along the other axis: rows are
 read one after another, and regions lie side by side more than above each other."""
 

@@ -204,6 +204,7 @@ SAMPLE = {
     "lens_shading": lambda rng, x, p, m, c: x * (1 + p["sigma"] * m["field"]),
     "prnu": lambda rng, x, p, m, c: x * (1 + p["sigma"] * m["field"]),
     "column_gain": lambda rng, x, p, m, c: x * (1 + p["sigma"] * m["field"]),
+    "odd_even_column_gain": lambda rng, x, p, m, c: x * (1 + p["sigma"] * m["field"]),
     "green_imbalance": lambda rng, x, p, m, c: x * (1 + p["sigma"] * m["field"]),
     "dead_pixels": lambda rng, x, p, m, c: np.where(m["dead"] > 0, 0.0, x),
     "dark_current": lambda rng, x, p, m, c: x + p["e_per_s"],
@@ -233,6 +234,7 @@ SAMPLE = {
     "column_noise": lambda rng, x, p, m, c: x + rng.normal(0, p["sigma_dn"], _per(x, 2)),
     "row_fpn": lambda rng, x, p, m, c: x + p["sigma_dn"] * m["field"],
     "column_fpn": lambda rng, x, p, m, c: x + p["sigma_dn"] * m["field"],
+    "odd_even_column_fpn": lambda rng, x, p, m, c: x + p["sigma_dn"] * m["field"],
     "pink_noise": lambda rng, x, p, m, c: (
         x + p["sigma_dn"] * _power_law(rng, len(x), x[0].size, p["exponent"]).reshape(x.shape)
     ),

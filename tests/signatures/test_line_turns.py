@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import jax
 import numpy as np
 import pytest
 
+from cannoise_jax import SensorModel, Settings
 from cannoise_jax.signatures.fields import refit
 from tests.discovery.drawn import SIZE, drawn
 from tests.discovery.looks import SIGNATURES
@@ -74,3 +76,15 @@ def test_plain_columns_and_pixels_do_not_turn(scaling):
         own = np.random.default_rng(seed).standard_normal(SIZE)
         fields = with_columns(drawn(seed), scaling, size * (columns(seed) + own))
         assert turning.score(fields).log_p > np.log(1e-3)
+
+
+def test_drawn_columns_turn_from_row_to_row_by_the_strength_that_is_stated():
+    camera = SensorModel.poisson_gaussian(2.0, 3.0, 64, 4095).with_mechanism(
+        "odd_even_column_fpn", sigma_dn=4.0
+    )
+    frames = np.asarray(
+        camera.sample(jax.random.key(0), np.zeros((64, 400)), Settings(frames=16)), np.float64
+    )
+    even, odd = (frames[:, k::2].mean((0, 1)) - frames.mean() for k in (0, 1))
+    assert even.std() == pytest.approx(4.0, rel=0.15)
+    assert np.corrcoef(even, odd)[0, 1] < -0.95
