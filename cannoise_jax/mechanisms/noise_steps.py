@@ -19,7 +19,7 @@ from cannoise_jax.physics.transfer import maps as measured
 from cannoise_jax.physics.transfer.estimate import Estimates
 from cannoise_jax.physics.transfer.estimator import Estimator
 from cannoise_jax.physics.transfer.estimators import loud_lines, maps, noise
-from cannoise_jax.physics.transfer.loud_lines import Line
+from cannoise_jax.physics.transfer.noise_of_lines import Line
 from cannoise_jax.vocabulary import Term
 
 

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from cannoise_jax.physics.transfer.loud_lines import Line, Loudness, Squares, loudness, within_lines
+from cannoise_jax.physics.transfer.noise_of_lines import Line, Loudness, Squares, loudness, within_lines
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.signatures.added import as_map
 from cannoise_jax.signatures.charge_noise import by_charge, of_noise, own_charge

@@ -48,7 +48,7 @@ from cannoise_jax.physics.transfer.estimators.pick import (
 )
 from cannoise_jax.physics.transfer.fit import robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics
-from cannoise_jax.physics.transfer.loud_lines import Line
+from cannoise_jax.physics.transfer.noise_of_lines import Line
 from cannoise_jax.physics.transfer.spatial import temporal_mean_square
 from cannoise_jax.physics.transfer.views import pixel_variance
 from cannoise_jax.recordings.packing import site

@@ -9,7 +9,7 @@ import numpy as np
 from cannoise_jax.physics.transfer.estimate import Estimate, Estimates, NotMeasurable, normal_estimate, root
 from cannoise_jax.physics.transfer.estimators.pick import darkest, odd_by_charge, repeated_darks
 from cannoise_jax.physics.transfer.frames import FrameStatistics, steady_frames
-from cannoise_jax.physics.transfer.loud_lines import Line, Loudness, Squares, loudness, within_lines
+from cannoise_jax.physics.transfer.noise_of_lines import Line, Loudness, Squares, loudness, within_lines
 from cannoise_jax.physics.transfer.quiet import coarse
 from cannoise_jax.physics.transfer.views import pixel_variance
 from cannoise_jax.recordings.packing import SITES, site
@@ -29,7 +29,7 @@ def column_read_noise_map(statistics: Sequence[FrameStatistics], baseline=None) 
 
 
 def _spread(statistics: Sequence[FrameStatistics], baseline, axis: Line) -> Estimates:
-    """From what the noise power of lines differs by beyond that of pieces of them, see `transfer.loud_lines`;
+    """From what the noise power of lines differs by beyond that of pieces of them, see `transfer.noise_of_lines`;
     what varies smoothly over the lines is no part of it."""
     dark = darkest(statistics)
     if dark is None or dark.recording.count < 4:
