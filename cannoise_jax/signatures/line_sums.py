@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.transfer.noise_of_lines import Line
 from cannoise_jax.signatures.answers import less_shared, response, through
 from cannoise_jax.signatures.fields import Fields, map_contrasts
 from cannoise_jax.signatures.group_sums import (
@@ -21,8 +22,6 @@ from cannoise_jax.signatures.group_sums import (
     shared_sums,
 )
 from cannoise_jax.signatures.score import Score, variance_component
-
-Line = Literal["row", "column"]
 
 AXES = {"row": 2, "column": 1}
 """Axis of a [n, h, w] array that is summed over."""
