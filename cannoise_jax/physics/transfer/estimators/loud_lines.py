@@ -29,7 +29,7 @@ def column_read_noise_map(statistics: Sequence[FrameStatistics], baseline=None) 
 
 
 def _spread(statistics: Sequence[FrameStatistics], baseline, axis: Line) -> Estimates:
-    """From what the noise power of lines differs by beyond that of pieces of them, see `transfer.noise_of_lines`;
+    """From what the noise power of lines differs by beyond that of pieces of them, see `noise_of_lines`;
     what varies smoothly over the lines is no part of it."""
     dark = darkest(statistics)
     if dark is None or dark.recording.count < 4:
