@@ -140,13 +140,16 @@ def _texts(
 
 
 def _doubted(transfers: Sequence[PhotonTransfer]) -> list[str]:
-    """What was said on the way that bears on all numbers of a sheet: flats that no dark is as warm as, and
-    what is stated and contradicted by the recordings."""
+    """What was said on the way that bears on all numbers of a sheet: flats that no dark is as warm as, what
+    is stated and contradicted by the recordings, and gains that are not to be trusted."""
+    from cannoise_jax.physics.transfer.doubts import doubts
     from cannoise_jax.physics.transfer.one_temperature import no_dark_as_warm
     from cannoise_jax.physics.transfer.stated import codes_line, colours_line, exposures_lines
 
     lines: list[str] = []
-    for one in (t.statistics for t in transfers):
+    for transfer in transfers:
+        lines += doubts(transfer)
+        one = transfer.statistics
         own = [s.recording for s in one]
         lines += (no_dark_as_warm(own), colours_line(one), codes_line(one), *exposures_lines(one))
     return list(dict.fromkeys(filter(None, lines)))
@@ -200,12 +203,14 @@ def calibrate(
     """
     from cannoise_jax.mechanisms import LISTED
     from cannoise_jax.physics.transfer.baseline import Baseline
+    from cannoise_jax.physics.transfer.doubts import doubts
     from cannoise_jax.physics.transfer.estimators.particles import told
     from cannoise_jax.physics.transfer.faults import faults
     from cannoise_jax.physics.transfer.frames import FrameStatistics, frame_statistics
     from cannoise_jax.physics.transfer.model import find_mechanisms
     from cannoise_jax.physics.transfer.one_temperature import of_one_temperature
     from cannoise_jax.physics.transfer.photon_transfer import transfer_at
+    from cannoise_jax.physics.transfer.table import setting_of
 
     now_at("photon transfer")
     # As `photon_transfer`, which does not say how far it is.
@@ -227,6 +232,10 @@ def calibrate(
         logging.getLogger(__name__).warning("%s: %s", capture.camera, note)
     channels = partial(counted, doing="photon transfer: channels")
     transfers = tuple(transfer_at(every[iso], channels) for iso in order)
+    for transfer in transfers:
+        for line in doubts(transfer):
+            at = ", ".join(filter(None, (capture.camera, setting_of(transfer))))
+            logging.getLogger(__name__).warning("%s: %s", at, line)
     for transfer in transfers:
         if isinstance(transfer.baseline, Baseline):
             now_at("mechanisms: which of them explain the others")

@@ -252,7 +252,7 @@ ENTRIES: tuple[Entry, ...] = (
         signatures=looks.always(
             looks.shape.tails(name="kurtosis", heavy=True, covers=looks.NOISY, smooth=("comb",)),
         ),
-        estimator=Estimator(noise.heavy_tails, least=0.02, law="tails",
+        estimator=Estimator(noise.heavy_tails, white=True, least=0.02, law="tails",
                             neutral=tukey_lambda.GAUSSIAN, against=noise.no_heavier),
         examples=Examples("tail", shown={"tukey_lambda": -0.15}, dim=True,
                           cases=(Case({"tukey_lambda": -0.05}, DARK),)),
@@ -269,7 +269,8 @@ ENTRIES: tuple[Entry, ...] = (
                 looks.noisy_lines.own_noise(axis, name=f"{axis}_spread", parameter="spread", smooth=("comb",),
                                             of_pixels=("pixel_spread", "kurtosis", "telegraph")),
             ),
-            estimator=Estimator(measure, least=0.01, maps=partial(measured.read_noise_of_lines, axis=axis)),
+            estimator=Estimator(measure, white=True, least=0.01,
+                                maps=partial(measured.read_noise_of_lines, axis=axis)),
             examples=Examples(f"{axis} loudness", shown={"spread": 0.8}, dim=True, strong={"spread": 0.5},
                               cases=(Case({"spread": 0.2}, DARK),)),
         )
@@ -285,7 +286,7 @@ ENTRIES: tuple[Entry, ...] = (
             looks.pixels.own_noise(name="pixel_spread", parameter="spread", covers=looks.NOISY,
                                    smooth=("comb",), before=("telegraph",)),
         ),
-        estimator=Estimator(maps.pixel_read_noise_map, least=0.03, law="spread",
+        estimator=Estimator(maps.pixel_read_noise_map, white=True, least=0.03, law="spread",
                             maps=measured.read_noise, spares=maps.pixel_read_noise_map),
         examples=Examples("spread", shown={"spread": 0.8}, dim=True, cases=(Case({"spread": 0.2}, DARK),
                           Case({"spread": 0.8}, DARK, note="strong"))),

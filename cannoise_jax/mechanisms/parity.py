@@ -102,7 +102,7 @@ ENTRIES: tuple[Entry, ...] = (
             looks.lines.by_turns(name="row_turns_temporal", parameter="sigma_dn",
                 covers=(*looks.DARK_LEVELS, *IMPRINTS)),
         ),
-        estimator=Estimator(lines.odd_even_row_noise, beside=lines.beside_rows_apart),
+        estimator=Estimator(lines.odd_even_row_noise, white=True, beside=lines.beside_rows_apart),
         examples=Examples("lags", dim=True, strong={"sigma_dn": 3.0}, cases=(Case({"sigma_dn": 1.0}, DARK),)),
     ),
     Entry(

@@ -238,7 +238,7 @@ ENTRIES: tuple[Entry, ...] = (
                                     fixed="hot_additive", growing="hot_thermal",
                                     imprints=imprints.STANDING_OUT),
         ),
-        estimator=Estimator(telegraph.rts, law="telegraph", loud=telegraph.telegraph_sites,
+        estimator=Estimator(telegraph.rts, white=True, law="telegraph", loud=telegraph.telegraph_sites,
                             maps=measured.telegraph),
         examples=Examples("spread", shown={"jump_dn": 12.0, "fraction": 0.05}, dim=True,
                           strong={"jump_dn": 12.0, "fraction": 0.3},

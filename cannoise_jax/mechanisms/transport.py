@@ -186,7 +186,7 @@ ENTRIES: tuple[Entry, ...] = (
                 camera="crosstalk", parameter="fraction", partner=looks.SHARED,
                 template=looks.covariance.GIVEN, covers=(*looks.SCENES, looks.SHARED)),
         ),
-        estimator=Estimator(neighbours.crosstalk, least=5e-3, smooths=True),
+        estimator=Estimator(neighbours.crosstalk, least=5e-3, smooths=True, white=True),
         examples=Examples("lags", shown={"fraction": 0.15}, strong={"fraction": 0.3},
                           cases=(Case({"fraction": 0.03}, FLAT),)),
     ),

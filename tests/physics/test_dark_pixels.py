@@ -25,13 +25,14 @@ def log_normal(rng, mean, variation, size=SIZE):
     return mean * np.exp(shape * rng.standard_normal(size) - shape**2 / 2)
 
 
-def recorded(current, seed, glow=0.0):
-    """Flats and darks of a camera of 0.5 DN/e-, 3 e- read noise and a dark current of every pixel, e-/s."""
+def recorded(current, seed, glow=0.0, plan=tuple((s, 10) for s in SECONDS), read=3.0):
+    """Flats and darks of a camera of 0.5 DN/e- and a dark current of every pixel, e-/s. plan: exposures and
+    frames of the darks; read: noise, e-."""
     rng, out = np.random.default_rng(seed), []
-    plan = [("flat", 0.1, light) for light in (500.0, 2000.0)] + [("dark", s, 0.0) for s in SECONDS]
-    for kind, seconds, light in plan:
+    flats = [("flat", plan[0][0], light, 10) for light in (500.0, 2000.0)]
+    for kind, seconds, light, frames in (*flats, *(("dark", s, 0.0, n) for s, n in plan)):
         charge = np.broadcast_to(light + (current + glow) * seconds, SIZE)
-        drawn = rng.poisson(charge, (10, *SIZE)) + 3.0 * rng.standard_normal((10, *SIZE))
+        drawn = rng.poisson(charge, (frames, *SIZE)) + read * rng.standard_normal((frames, *SIZE))
         codes = np.clip(np.rint(100 + 0.5 * drawn), 0, 65535).astype(np.uint16)
         out.append(Recording(codes, "MONO", (100.0,) * 4, 65535.0, kind=kind, iso=100.0, exposure_s=seconds))
     return CaptureSet("c", tuple(out))
@@ -67,6 +68,28 @@ def test_the_tail_of_the_dark_currents_is_not_hot(rate, variation, hot):
     real, made = (np.quantile(np.asarray(f, float).mean(0) - 100, quantiles) for f in (longest.frames, drawn))
     np.testing.assert_allclose(made, real, rtol=0.12, atol=0.8)
     assert np.corrcoef(np.asarray(drawn, float).mean(0).ravel(), longest.frames.mean(0).ravel())[0, 1] > 0.9
+
+
+@pytest.mark.parametrize(("variation", "frames"), [(0.0, 2), (0.3, 3), (0.5, 2), (1.0, 2)])
+def test_few_frames_tell_the_mean_and_the_spread_of_dark_currents(variation, frames):
+    """Noise of means of few frames is as wide as the currents: their tail is no hot pixels, and noise is no
+    spread. The darks come back as dark as they were."""
+    rng = np.random.default_rng(int(100 * variation) + frames)
+    current = log_normal(rng, 15.0, variation)
+    captures = recorded(current, 4, plan=((0.02, frames), (0.6, frames), (1.5, frames)), read=6.0)
+    found, model = calibrated(captures)
+    dark = found["dark_current"].measured
+    assert dark["e_per_s"].value == pytest.approx(current.mean(), rel=0.02)
+    assert found["hot_pixels"].measured is None
+    told = dark.get("variation")
+    if variation:
+        assert told.value == pytest.approx(current.std() / current.mean(), rel=0.1)
+    else:
+        assert told is None
+    for r in (r for r in captures.recordings if r.kind == "dark"):
+        made = float(np.mean(model.expected(jnp.zeros(SIZE), Settings(100.0, r.exposure_s))))
+        full = 0.5 * current.mean() * 1.5
+        assert made == pytest.approx(np.mean(r.frames), abs=0.01 * full + 0.03)
 
 
 @pytest.mark.parametrize(("peak", "length", "rate"), [(40.0, 60.0, 0.1), (4.0, 25.0, 2.0)])

@@ -11,6 +11,7 @@ from cannoise_jax.mechanisms import MECHANISMS
 from cannoise_jax.mechanisms.coverage import BLACK, GAIN, READ_E, WHITE, assumed_baseline
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.transfer.estimate import NotMeasurable, normal_estimate
+from cannoise_jax.physics.transfer.estimators.loudness import _negative
 from cannoise_jax.physics.transfer.estimators.maps import pixel_read_noise_map
 from cannoise_jax.physics.transfer.estimators.noise import heavy_tails
 from cannoise_jax.physics.transfer.frames import frame_statistics
@@ -152,3 +153,11 @@ def test_pixels_that_jump_to_one_side_are_no_particle_hits():
     assert found["rts"].measured["jump_dn"].value == pytest.approx(25, rel=0.02)
     assert found["rts"].measured["fraction"].value == pytest.approx(jumping.mean(), rel=0.1)
     assert not found["pixel_read_noise_map"].measured
+
+
+def test_a_fit_that_steps_far_out_has_finite_values():
+    """The first step of a search may be any; its scale is neither zero nor infinite."""
+    series = np.random.default_rng(0).standard_normal((6, 40))
+    for far in (-2000.0, 2000.0):
+        at = np.array([far, 0.5, 0.0, 0.0])
+        assert np.isfinite(_negative(series, (np.zeros(1), np.zeros(1)), ("telegraph",), at))

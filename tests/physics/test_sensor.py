@@ -268,3 +268,11 @@ def test_a_model_may_be_composed_of_traced_numbers():
     model = SensorModel.poisson_gaussian(gains, 2 * gains, 64.0, 1023.0, iso=(100, 200))
     eager = np.asarray(model.with_mechanism("row_noise", sigma_dn=3.0).sample(KEY, FLAT), np.float64)
     assert np.mean(traced != eager) < 1e-2 and np.max(np.abs(traced - eager)) <= 1
+
+
+def test_more_frames_than_memory_holds_are_refused():
+    """XLA ends the interpreter where there is no room, which nothing can catch."""
+    with pytest.raises(
+        ValueError, match=r"1000000000 frames of 32 x 32 take .* GB .* free: draw them in parts"
+    ):
+        MODEL.sample(KEY, FLAT, Settings(frames=10**9))

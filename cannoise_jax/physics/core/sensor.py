@@ -16,6 +16,7 @@ from jaxtyping import Array, Float, Key, UInt16
 from cannoise_jax.physics.core import presets, ranges, registry
 from cannoise_jax.physics.core.grammar import Point, bare
 from cannoise_jax.physics.core.mechanism import HasRecord, Mechanism, Scaling
+from cannoise_jax.physics.core.memory import check_room
 from cannoise_jax.physics.core.poisson_gaussian import InitialNoise, electrons_from_nlf
 from cannoise_jax.physics.core.sensor_draws import (
     closed_moments,
@@ -215,11 +216,13 @@ class SensorModel:
         Values above 1 are light beyond the white level, as of highlights or flats that are too bright: their
         pixels are full. What no scene has is refused: a median above 4, values below -0.5, whole numbers
         above 4, truths. Works under jit; outside it, a setting beyond the calibrated range draws one
-        `ExtrapolationWarning`, what `ranges.check_taken` refuses raises ValueError, and what is no key
-        TypeError. Under jit the values of `clean` are not known, so that one in DN is not refused: its frames
-        are at the last code."""
+        `ExtrapolationWarning`, what `ranges.check_taken` refuses and more frames than memory holds raise
+        ValueError, and what is no key TypeError. Under jit the values of `clean` are not known, so that one
+        in DN is not refused: its frames are at the last code."""
         ranges.check_key(key)
         ranges.check_taken(clean, settings)
+        if not isinstance(clean, jax.core.Tracer):
+            check_room(settings.frames, np.shape(clean))
         warn_outside(self, settings)
         setting = (settings.iso, settings.exposure_s, settings.temperature_c)
         # The frozen patterns are drawn by a program of their own: fused with the frames they would be

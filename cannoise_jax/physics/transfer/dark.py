@@ -20,10 +20,10 @@ from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.black import mean_error
 from cannoise_jax.physics.transfer.dark_pixels import FAR, above_level, law_of
 from cannoise_jax.physics.transfer.estimate import Z90, Estimate, NotMeasurable, normal_estimate
-from cannoise_jax.physics.transfer.fit import median_quotient, robust_mean_square
+from cannoise_jax.physics.transfer.fit import robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.quiet import coarse, dither
-from cannoise_jax.physics.transfer.views import pixel_variance
+from cannoise_jax.physics.transfer.views import pixel_variance, usual_variance
 from cannoise_jax.recordings.packing import site
 
 RECORD = (
@@ -54,12 +54,14 @@ class Series(NamedTuple):
 
 
 def dark_series(
-    darks: Sequence[FrameStatistics], channel: int, gain: float, hot: Bool[np.ndarray, "H W"] | None = None
-) -> Series | NotMeasurable:
+    darks: Sequence[FrameStatistics], channel: int, gain: float,
+    apart: tuple[Bool[np.ndarray, "H W"], bool] | None = None,
+) -> Series | NotMeasurable:  # fmt: skip
     """One channel of repeated darks of known exposure, in electrons.
 
-    Pixels that clip, or that are hot in the longest dark, are left out (`transfer.dark_pixels`). hot: which
-    these are of all pixels, whose dark currents differ; None: the channel by itself tells.
+    Pixels that clip, or that are hot in the longest dark, are left out (`transfer.dark_pixels`). apart: which
+    these are of all pixels, and whether the dark currents of the others are alike; None: the channel by
+    itself tells.
     """
     series = sorted(
         (s for s in darks if s.variance is not None and s.recording.exposure_s is not None),
@@ -69,7 +71,10 @@ def dark_series(
     if len(repeated) < 3:
         single = {s.recording.exposure_s for s in darks} - repeated - {None}
         return NotMeasurable(_second(single) if len(repeated) + len(single) > 2 else RECORD)
-    keep, alike = _ordinary(series[0], series[-1], channel) if hot is None else (~site(hot, channel), False)
+    if apart is None:
+        keep, alike = _ordinary(series[0], series[-1], channel, gain)
+    else:
+        keep, alike = ~site(apart[0], channel), apart[1]
     for s in series:
         keep &= ~site(s.clipped, channel)
     if not keep.any():
@@ -105,7 +110,7 @@ def _mean_variance(
 
 
 def _ordinary(
-    shortest: FrameStatistics, longest: FrameStatistics, channel: int
+    shortest: FrameStatistics, longest: FrameStatistics, channel: int, gain: float
 ) -> tuple[Bool[np.ndarray, "h w"], bool]:
     """Pixels of a channel that are not hot, and whether the dark currents of these are alike. Hot: beyond six
     spreads of a normal law, or where all currents have a longer tail than that, what stands out from it."""
@@ -113,7 +118,11 @@ def _ordinary(
     seen = ~site(longest.clipped, channel)
     if not seen.any():
         return seen, True
-    law = law_of(grown[seen], least=0.5 * longest.code_step if coarse(longest) else 0.0)
+    noise = sum(usual_variance(s, channel) / s.recording.count for s in (shortest, longest))
+    law = law_of(
+        grown[seen], noise=float(np.sqrt(noise)), shot=gain / longest.recording.count,
+        least=0.5 * longest.code_step if coarse(longest) else 0.0,
+    )  # fmt: skip
     if law.shape:
         return ~law.is_hot(grown) & ~law.far_above(grown), False
     mean = site(longest.mean, channel)
@@ -128,7 +137,7 @@ def unlike_charge(darks: Sequence[FrameStatistics], channel: int) -> str:
     ends = [pick(known, key=lambda s: s.recording.exposure_s or 0.0) for pick in (min, max)]
     patterns = []
     for s in ends:
-        noise = float(np.median(pixel_variance(s, channel))) / median_quotient(s.dof) / s.recording.count
+        noise = usual_variance(s, channel) / s.recording.count
         mean = site(s.mean, channel)
         patterns.append(max(robust_std(mean, float(np.median(mean))) ** 2 - noise, noise) ** 0.5)
     if patterns[1] < _UNLIKE * patterns[0]:

@@ -4,6 +4,7 @@ Each ordinary pixel has a dark current of its own, the sum of many small leaks, 
 about log-normal (Konnik and Welsh, High-level numerical simulations of noise in CCD and CMOS photosensors,
 arXiv:1412.4031, section II.B). With noise beside it: z = ln(1 + s (x - m) / b) / s is standard normal, m the
 median, b the width there, s the shape; s = 0 is the normal law, for darks that show no currents of their own.
+A log-normal law is of the currents alone: what noise adds is known, and is no part of their tail.
 Pixels that lie far below the median have another cause, which is taken to reach as far above it: a Laplace
 tail. Hot pixels stand beside all these, with exponential heights.
 """
@@ -16,6 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy import interpolate, optimize, special, stats
+
+from cannoise_jax.physics.transfer.blurred import blur, spaced
 
 FAR = 6.0
 """Spreads, of a normal law or of the logarithm of a log-normal one, beyond which a pixel is not ordinary."""
@@ -39,9 +42,11 @@ _FLAT = 1e12
 class PixelLaw(NamedTuple):
     """Charge of pixels, in the unit of what it was fitted to.
 
-    middle, scale, shape: m, b, s of ordinary pixels. share, reach: of Laplace tails on either side. fraction,
-    height: share of hot pixels, 0 where none stand out, and the mean of their heights. nats: log likelihood
-    that these gain. errors: standard errors of logit fraction and log height; None where they are not told.
+    middle, scale, shape: m, b, s of ordinary pixels. noise, shot: what a log-normal one is seen with, its
+    standard deviation at the middle and by how much its variance grows per unit (`blurred`). share, reach: of
+    Laplace tails on either side. fraction, height: share of hot pixels, 0 where none stand out, and the mean
+    of their heights. nats: log likelihood that these gain. errors: standard errors of logit fraction and log
+    height; None where they are not told.
     """
 
     middle: float
@@ -53,6 +58,8 @@ class PixelLaw(NamedTuple):
     height: float = 1.0
     nats: float = 0.0
     errors: tuple[float, float] | None = None
+    noise: float = 0.0
+    shot: float = 0.0
 
     @property
     def variance(self) -> float:
@@ -69,58 +76,87 @@ class PixelLaw(NamedTuple):
             return self.middle
         return self.middle + float(self.scale / self.shape * np.expm1(self.shape**2 / 2))
 
-    def ordinary(self, x: np.ndarray) -> np.ndarray:
-        """Density of ordinary pixels."""
+    @property
+    def width(self) -> float:
+        """Standard deviation in the middle, noise included."""
+        return float(np.hypot(self.scale, self.noise)) if self.shape else self.scale
+
+    def core(self, x: np.ndarray) -> np.ndarray:
+        """Density of ordinary pixels without tails, as a log-normal law has it without noise."""
         beyond = (x - self.middle) / self.scale
-        if self.shape:
-            stretched = 1 + self.shape * beyond
-            inside = np.maximum(stretched, 1e-12)
-            core = stats.norm.pdf(np.log(inside) / self.shape) / inside * (stretched > 0)
-        else:
-            core = np.exp(-0.5 * np.minimum(beyond**2, 700)) / np.sqrt(2 * np.pi)
+        if not self.shape:
+            return np.exp(-0.5 * np.minimum(beyond**2, 700)) / np.sqrt(2 * np.pi) / self.scale
+        stretched = 1 + self.shape * beyond
+        inside = np.maximum(stretched, 1e-12)
+        return stats.norm.pdf(np.log(inside) / self.shape) / inside * (stretched > 0) / self.scale
+
+    def masses(self, edges: np.ndarray) -> np.ndarray:
+        """Share of a log-normal law in each cell between edges."""
+        stretched = 1 + self.shape * (edges - self.middle) / self.scale
+        below = special.ndtr(np.log(np.maximum(stretched, 1e-300)) / self.shape)
+        return np.diff(np.where(stretched > 0, below, 0.0))
+
+    def ordinary(self, x: np.ndarray, blurred: np.ndarray | None = None) -> np.ndarray:
+        """Density of ordinary pixels. blurred: that of the core at x, with its noise, where it is known."""
+        if blurred is None:
+            blurred = self._seen(x) if self.shape and self.noise else self.core(x)
         tails = np.exp(-np.minimum(np.abs(x - self.middle) / self.reach, 700)) / (2 * self.reach)
-        return (1 - self.share) * core / self.scale + self.share * tails
+        return (1 - self.share) * blurred + self.share * tails
+
+    def _seen(self, x: np.ndarray) -> np.ndarray:
+        """Density of the core with its noise."""
+        ends = float(np.min(x)) - self.width, float(np.max(x)) + self.width
+        edges = spaced(*ends, self.middle, self.width)
+        seen = blur(edges, edges, self.middle, self.noise, self.shot) @ self.masses(edges)
+        return np.exp(np.interp(x, edges, np.log(np.maximum(seen, 1e-300))))
 
     def hot(self, x: np.ndarray) -> np.ndarray:
         """Density of hot pixels."""
-        return 0.5 / self.height * exponential_tail(x - self.middle, self.scale, self.height)
+        return 0.5 / self.height * exponential_tail(x - self.middle, self.width, self.height)
 
     def far_above(self, x: np.ndarray) -> Bool[np.ndarray, "..."]:
         """Whether a pixel lies beyond all ordinary ones: of few hot pixels no law is told."""
         beyond = np.expm1(self.shape * FAR) / self.shape if self.shape else FAR
-        return x > self.middle + self.scale * beyond
+        return x > self.middle + np.hypot(self.scale * beyond, FAR * self.noise * bool(self.shape))
 
     def is_hot(self, x: np.ndarray) -> Bool[np.ndarray, "..."]:
-        """Whether a pixel is more likely hot than ordinary."""
+        """Whether a pixel is more likely hot than ordinary, or further out than such: far beyond all that was
+        fitted a log-normal tail lies above an exponential one."""
         if not self.fraction:
             return np.zeros(np.shape(x), bool)
         more = self.fraction * self.hot(x) > (1 - self.fraction) * self.ordinary(x)
-        return more & (x > self.middle)
+        more &= x > self.middle
+        return x >= np.min(x, where=more, initial=np.inf)
 
 
 def law_of(
-    values: Float[np.ndarray, "n"], *, least: float = 0.0, full: int = 0, ceiling: float = 0.0
-) -> PixelLaw:
+    values: Float[np.ndarray, "n"], *, noise: float = 0.0, shot: float = 0.0, least: float = 0.0,
+    full: int = 0, ceiling: float = 0.0,
+) -> PixelLaw:  # fmt: skip
     """The law of most likelihood; the parts that do not gain enough are left out.
 
-    least: of the scale, where values stand on a lattice. full: pixels that are hot, of which only is known
-    that they hold more than `ceiling`.
+    noise, shot: standard deviation of the noise of a value at the median, and by how much its variance grows
+    per unit. least: of the scale, where values stand on a lattice. full: pixels that are hot, of which only
+    is known that they hold more than `ceiling`.
     """
     low, middle, high = np.percentile(values, (25, 50, 75))
     start = PixelLaw(float(middle), max(float(high - low) / 1.349, least, 1e-9))
+    noise = min(noise, start.scale)
     share, reach = _tails(values - start.middle, start.scale)
     start = start._replace(share=share, reach=reach)
-    at, counts = _histogram(values, start)
+    at, counts, edges = _histogram(values, start)
     span = float(at[-1] - at[0])
+    seen = blur(at, edges, start.middle, noise, shot) if noise else None
     # Lower ones are ordinary, higher ones beyond all that was seen.
     heights = np.log([0.1 * start.scale, 100 * max(span, ceiling)])
 
-    def fitted(skewed: bool, hot: bool) -> tuple[float, PixelLaw, Callable, np.ndarray]:
+    def fitted(skewed: bool, hot: bool) -> _Fit:
         def law(p: np.ndarray) -> PixelLaw:
             scale = start.scale * float(np.exp(np.clip(p[1], -4.0, 4.0)))
             found = start._replace(middle=float(p[0]) * start.scale, scale=max(scale, least))
             if skewed:
-                found = found._replace(shape=float(np.exp(np.clip(p[2], -8.0, 2.0))))
+                shape = float(np.exp(np.clip(p[2], -8.0, 2.0)))
+                found = found._replace(shape=shape, noise=noise, shot=shot)
             if hot:
                 share = MOST_HOT * float(special.expit(p[-2]))
                 height = float(np.exp(np.clip(p[-1], *heights)))
@@ -129,42 +165,51 @@ def law_of(
 
         def negative(p: np.ndarray) -> float:
             now = law(p)
-            density = (1 - now.fraction) * now.ordinary(at)
+            blurred = seen @ now.masses(edges) if skewed and seen is not None else now.core(at)
+            density = (1 - now.fraction) * now.ordinary(at, blurred)
             full_nats = 0.0
             if hot:
                 density = density + now.fraction * now.hot(at)
                 full_nats = full * (np.log(now.fraction + 1e-300) - ceiling / now.height)
             return -float(np.sum(counts * np.log(density + _STRAY / span))) - full_nats
 
-        first = [start.middle / start.scale, 0.0]
-        first += [np.log(_shape(values))] if skewed else []
+        own = np.sqrt(max(1 - (noise / start.scale) ** 2, 0.05)) if skewed else 1.0
+        first = [start.middle / start.scale, np.log(own)]
+        first += [np.log(min(_shape(values) / own, 2.0))] if skewed else []
         far = values[values > start.middle + FAR * start.scale] - start.middle
         share = (far.size + full) / (values.size + full)
         height = np.log(np.mean(np.r_[far, np.full(full, max(ceiling, start.scale)), 3 * start.scale]))
         first += [special.logit(np.clip(share, 1e-5, 0.2) / MOST_HOT), height] if hot else []
         options = {"xatol": 1e-4, "fatol": 1e-3, "maxiter": 4000, "maxfev": 6000}
         found = optimize.minimize(negative, np.array(first), method="Nelder-Mead", options=options)
-        return float(found.fun), law(found.x), negative, found.x
+        return _Fit(float(found.fun), law(found.x), negative, found.x)
 
-    def best(skewed: bool) -> tuple[float, PixelLaw, Callable, np.ndarray]:
-        bare, beside = fitted(skewed, False), fitted(skewed, True)
-        law = beside[1]._replace(nats=bare[0] - beside[0])
-        number = full + int(np.sum(counts[law.is_hot(at)]))
-        # Of full pixels a law without hot ones has no place, so that these always count.
-        if full:
-            law = law._replace(nats=np.inf)
-        least = max(_FEW, _STAND_OUT * law.fraction * (full + values.size))
-        told = full > 0 or (law.nats > _LEAST_NATS and number >= least)
-        return (beside[0], law, *beside[2:]) if told else bare
+    def better(normal: _Fit, skewed: _Fit) -> _Fit:
+        return skewed if skewed.negative < normal.negative - _LEAST_NATS else normal
 
-    normal, skewed = best(False), best(True)
-    _, law, negative, p = skewed if skewed[0] < normal[0] - _LEAST_NATS else normal
-    if not law.fraction:
-        return law
-    steps = np.full(len(p), 0.05)
+    # Hot pixels are what no law of ordinary ones explains, of either kind.
+    bare, beside = (better(fitted(False, hot), fitted(True, hot)) for hot in (False, True))
+    law = beside.law._replace(nats=np.inf if full else bare.negative - beside.negative)
+    number = full + int(np.sum(counts[law.is_hot(at)]))
+    # Of full pixels a law without hot ones has no place, so that these always count.
+    told = number >= max(_FEW, _STAND_OUT * law.fraction * (full + values.size))
+    if not full and (law.nats <= _LEAST_NATS or not told):
+        return bare.law
+    steps = np.full(len(beside.at), 0.05)
     steps[0] = 0.05 * law.scale / start.scale
-    errors = fit_errors(hessian(negative, p, steps))
+    errors = fit_errors(hessian(beside.function, beside.at, steps))
+    if errors is None and not full:
+        return bare.law
     return law._replace(errors=None if errors is None else (float(errors[-2]), float(errors[-1])))
+
+
+class _Fit(NamedTuple):
+    """A law, minus the log likelihood that it has and as a function of parameters, and these."""
+
+    negative: float
+    law: PixelLaw
+    function: Callable[[np.ndarray], float]
+    at: np.ndarray
 
 
 def above_level(charge: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "H W"]:
@@ -201,15 +246,15 @@ def _tails(beyond: np.ndarray, sigma: float) -> tuple[float, float]:
     return min(float(share), 0.5), reach
 
 
-def _histogram(values: np.ndarray, start: PixelLaw) -> tuple[np.ndarray, np.ndarray]:
+def _histogram(values: np.ndarray, start: PixelLaw) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Centres of bins that are a twentieth of a width in the middle and of a hundredth of the distance far
-    out, and how many values lie in each."""
+    out, how many values lie in each, both of those that hold any, and the edges of all."""
     core, top = 8.0, max(float(np.max(np.abs(values - start.middle))) / start.scale, 9.0) * 1.001
     out = np.geomspace(core, top, max(int(np.log(top / core) / 0.01), 2))[1:]
     edges = start.middle + start.scale * np.r_[-out[::-1], np.linspace(-core, core, 321), out]
     counts = np.histogram(values, edges)[0]
     at = (edges[1:] + edges[:-1]) / 2
-    return at[counts > 0], counts[counts > 0]
+    return at[counts > 0], counts[counts > 0], edges
 
 
 def exponential_tail(x: np.ndarray, sigma: float, mean: float) -> np.ndarray:

@@ -43,6 +43,7 @@ class Estimator:
       strength at which nothing differs from the baseline. exact: a value of the code lattice, without error.
     searched: the strongest of many frequencies. smooths: it has lowered the noise that the baseline is
       measured on. in_baseline: it is the baseline itself, and not asked for. reported: why it never enters.
+    white: it takes noise that is not what it looks for to be alike in no two pixels (`smoothed`).
     gives_way_to: ids beside which it does not enter. without(statistics, baseline, estimates) -> the
       recordings less what it adds to them. frozen: it is of what frames have in common, and measured on what
       those leave. against(estimates, statistics) -> why not to believe it,
@@ -65,6 +66,7 @@ class Estimator:
     searched: bool = False
     smooths: bool = False
     in_baseline: bool = False
+    white: bool = False
     reported: str = ""
     gives_way_to: tuple[str, ...] = ()
     without: Callable[..., list[FrameStatistics]] | None = None

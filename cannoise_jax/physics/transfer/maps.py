@@ -54,6 +54,8 @@ from cannoise_jax.physics.transfer.views import pixel_variance
 from cannoise_jax.recordings.packing import site
 
 Statistics = Sequence[FrameStatistics]
+_ROUNDS = 20
+"""Of taking the mean out of currents that are cut off at zero: less than a thousandth of it is left."""
 
 
 class Seen(NamedTuple):
@@ -323,8 +325,12 @@ def currents(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
     if found is None or not found.differ:
         return {}
     shown, sigma = found.charge, float(np.sqrt(found.spread))
-    field = shrunk(shown, sigma, found.noise, seen.draw(shown.shape))
-    return {"pixels": np.where(found.out, 0.0, field)[None]}
+    field = np.where(found.out, 0.0, shrunk(shown, sigma, found.noise, seen.draw(shown.shape)))
+    # No current is negative, and their mean stays.
+    for _ in range(_ROUNDS if values["variation"] else 0):
+        field = np.maximum(field, -1 / values["variation"])
+        field -= np.where(found.out, 0.0, field[~found.out].mean())
+    return {"pixels": field[None]}
 
 
 def glow(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:

@@ -33,6 +33,7 @@ from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.maps import with_measured_maps, without_charge, without_repetition
 from cannoise_jax.physics.transfer.one_sensor import of_one_sensor
 from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer
+from cannoise_jax.physics.transfer.smoothed import smoothed
 from cannoise_jax.physics.transfer.table import aligned, format_outcome, setting_of
 from cannoise_jax.recordings.recording import BadInput, Recording, iso_numbers
 
@@ -86,11 +87,13 @@ def find_mechanisms(
     """What the estimators of all entries say of the recordings of one setting, in their order. each: goes
     through them, one by one as they are measured."""
     asked = [e for e in entries if e.estimator is not None and not e.estimator.in_baseline]
+    blurred = NotMeasurable(why) if (why := smoothed(statistics)) else None
     taken_out = [_judged(e, statistics, baseline) for e in asked if e.estimator and e.estimator.without]
     left = less_known(statistics, baseline, taken_out)
     found = {f.mechanism: f for f in taken_out}
     found = {
-        id: found.get(id) or _judged(e, left if e.estimator and e.estimator.frozen else statistics, baseline)
+        id: found.get(id)
+        or _judged(e, left if e.estimator and e.estimator.frozen else statistics, baseline, blurred)
         for id, e in ((e.record.id, e) for e in each(asked))
     }
     for id, finding in found.items():
@@ -292,10 +295,14 @@ def format_findings(findings: Sequence[Finding]) -> str:
     return "\n".join(out).rstrip()
 
 
-def _judged(entry: Measurable, statistics: Sequence[FrameStatistics], baseline: Baseline) -> Finding:
+def _judged(
+    entry: Measurable, statistics: Sequence[FrameStatistics], baseline: Baseline,
+    blurred: NotMeasurable | None = None,
+) -> Finding:  # fmt: skip
+    """The verdict on one mechanism. blurred: why noise of the frames is not white, where it is not."""
     estimator = entry.estimator
     assert estimator is not None
-    estimates = estimator(statistics, baseline)
+    estimates = blurred if blurred and estimator.white else estimator(statistics, baseline)
     if isinstance(estimates, NotMeasurable):
         return Finding(entry, estimates, "not there" if estimates.answered else "not looked for")
     if estimator.reported:

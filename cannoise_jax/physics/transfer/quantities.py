@@ -38,7 +38,7 @@ from cannoise_jax.physics.transfer.quiet import (
 from cannoise_jax.physics.transfer.rails import is_cut_off
 from cannoise_jax.physics.transfer.ranges import coarser_range
 from cannoise_jax.physics.transfer.several_gains import uneven_gain
-from cannoise_jax.physics.transfer.straight import bends
+from cannoise_jax.physics.transfer.straight import NOT_LINEAR, bends
 from cannoise_jax.physics.transfer.views import pixel_variance, quiet_mean_square, quiet_pixels
 from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import DARK, PerChannel
@@ -64,13 +64,15 @@ RECORD_DARKS = (
 
 @dataclass(frozen=True)
 class Quantity:
-    """One cell of the table: what was measured and the outcome. channel: of `channel_names`, or all."""
+    """One cell of the table: what was measured and the outcome. channel: of `channel_names`, or all. doubt:
+    of the note, what bears on all other numbers too."""
 
     name: str
     unit: str
     channel: str
     outcome: Outcome
     note: str = ""
+    doubt: str = ""
 
 
 def noise_quantities(
@@ -99,7 +101,7 @@ def noise_quantities(
         bent = bends(statistics, black.level, c, black.error[c])
         odd = coarser_range(statistics, c) or bent or uneven_gain(statistics, c)
         note = "; ".join(filter(None, (set_aside(line), odd)))
-        out.append(Quantity("system gain", "DN/e-", name, line.slope, note))
+        out.append(Quantity("system gain", "DN/e-", name, line.slope, note, _doubt(line, bent)))
         out.append(Quantity("inverse gain", "e-/DN", name, inverse))
     note = "pixels; row noise taken out" + ("" if dark is None else _left_out(dark, c))
     note = "; ".join(filter(None, (note, noise_note)))
@@ -176,6 +178,13 @@ def set_aside(line: Line) -> str:
     if line.dropped > SET_ASIDE:
         said += ": so many are no outliers: the light moves, or the gain is not to be trusted"
     return said
+
+
+def _doubt(line: Line, bent: str) -> str:
+    """Why a gain is not to be trusted; empty where nothing says so."""
+    reasons = (set_aside(line) if line.dropped > SET_ASIDE else "", bent if bent.endswith(NOT_LINEAR) else "")
+    said = "; ".join(filter(None, reasons))
+    return f"the gain, and with it all that is in electrons: {said}" if said else ""
 
 
 def _read_noise(

@@ -11,6 +11,9 @@ from cannoise_jax.recordings.recording import Recording
 _SIGMAS = 3.0
 """Standard errors of a disagreement: by chance once in 370 settings."""
 
+_FAR = 2.0
+"""Factor between the two from which on one of them is of something else."""
+
 
 def gain_note(recordings: Iterable[Recording], gains: Sequence[float], errors: Sequence[float]) -> str | None:
     """One line where the recordings of one setting state e-/DN (EGAIN of FITS): that the measured gain
@@ -34,6 +37,24 @@ def gain_note(recordings: Iterable[Recording], gains: Sequence[float], errors: S
     if abs(mean - stated[0]) <= _SIGMAS * error + _rounding(stated[0]):
         return f"{text}: they agree"
     return f"{text}: they disagree beyond the error ({100 * (mean / stated[0] - 1):+.1f} %)"
+
+
+def far_from_stated(recordings: Iterable[Recording], gains: Sequence[float]) -> str:
+    """That the measured gain is another than the stated one by a factor of two or more, as no error of
+    either makes it; empty where it is not, or none is stated."""
+    stated = {r.egain for r in recordings if r.egain is not None}
+    if len(stated) != 1 or not gains:
+        return ""
+    (said,) = stated
+    found = float(np.mean(1 / np.asarray(gains, np.float64)))
+    factor = max(found / said, said / found)
+    if factor < _FAR:
+        return ""
+    return (
+        f"the files state a gain of {said:g} e-/DN, photon transfer finds {found:.3g}, a factor of "
+        f"{factor:.3g}: the stated gain is of another setting or of codes of another scale, or the frames "
+        "are averaged, added or smoothed"
+    )
 
 
 def _rounding(value: float) -> float:

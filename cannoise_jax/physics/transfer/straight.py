@@ -7,6 +7,10 @@ from collections.abc import Sequence
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.recordings.recording import PerChannel
 
+NOT_LINEAR = (
+    "values are not linear, as those of pictures with a gamma are not, or the light changed: the gain is not "
+    "to be trusted, record raw frames under one light"
+)
 _BENDS = 0.03
 """Change of the signal per second from the shortest flat to the longest: lamps and shutters are good to a few
 per cent, and a gain by photon transfer is off by about as much."""
@@ -14,6 +18,10 @@ _SIGMAS = 2.0
 """Standard errors of the black level that the dimmest flat may be off by."""
 _FEWEST, _SPAN, _TOP = 3, 4.0, 0.9
 """Exposures, ratio of the longest to the shortest, and share of the white level up to which flats count."""
+
+
+_NOT_LINEAR = 0.3
+"""Change from which on the values are none of a linear sensor, or the light not one."""
 
 
 def bends(flats: Sequence[FrameStatistics], black: PerChannel, c: int, error: float = 0.0) -> str:
@@ -35,7 +43,7 @@ def bends(flats: Sequence[FrameStatistics], black: PerChannel, c: int, error: fl
     least = _BENDS + _SIGMAS * error / signals[0]
     if not growing or abs(change) < least or not (max(steps) <= 0 or min(steps) >= 0):
         return ""
-    return (
-        f"the signal per second changes by {100 * change:+.1f} % from {times[0]:g} to {times[-1]:g} s: the "
-        "response bends, or the light changed, and the gain of dim light is another"
-    )
+    said = f"the signal per second changes by {100 * change:+.1f} % from {times[0]:g} to {times[-1]:g} s: "
+    if abs(change) > _NOT_LINEAR:
+        return said + NOT_LINEAR
+    return f"{said}the response bends, or the light changed, and the gain of dim light is another"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from cannoise_jax.physics.transfer.fit import robust_mean_square
+from cannoise_jax.physics.transfer.fit import median_quotient, robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.recordings.packing import ALL, site
 from cannoise_jax.recordings.recording import PerChannel, Recording
@@ -20,6 +20,11 @@ def pixel_variance(s: FrameStatistics, channel: int) -> Float[np.ndarray, "h w"]
     if s.variance is None:
         raise ValueError("one frame has no temporal variance: at least two are needed")
     return site(s.variance, channel)
+
+
+def usual_variance(s: FrameStatistics, channel: int) -> float:
+    """Temporal variance of a usual pixel of one channel, DN^2, by the median."""
+    return float(np.median(pixel_variance(s, channel))) / median_quotient(s.dof)
 
 
 def dark_shot(s: FrameStatistics, channel: int) -> float:

@@ -19,10 +19,12 @@ from cannoise_jax.physics.transfer.estimators.pick import darks_by_exposure
 from cannoise_jax.physics.transfer.fit import cut_and_loss, robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.quiet import coarse, step_of
+from cannoise_jax.physics.transfer.views import usual_variance
 from cannoise_jax.recordings.packing import site
 
 _SERIES = NotMeasurable(RECORD)
 _LONG = NotMeasurable("record darks of a long exposure, tens of seconds, beside short ones")
+_NOT_APART = NotMeasurable("hot pixels are not told from the healthy ones: record a longer dark")
 _NOISE_DOUBT = 0.05
 """Relative error granted to the noise that is taken out of the spread of pixels, besides chance."""
 _LAW_DOUBT = 0.03
@@ -45,10 +47,11 @@ def dark_current(statistics: Sequence[FrameStatistics], baseline=None) -> Estima
     darks = darks_by_exposure(statistics)
     found = currents(statistics, baseline)
     # All channels together tell more of few hot pixels than each by itself, and none counts twice.
-    hot = found.out if found is not None and found.law.shape else None
+    known = found is not None and (found.law.shape or found.law.fraction)
+    apart = (found.out, not found.law.shape) if found is not None and known else None
     channels = []
     for c in range(4):
-        series = dark_series(darks, c, baseline.gain[c], hot)
+        series = dark_series(darks, c, baseline.gain[c], apart)
         if isinstance(series, NotMeasurable):
             return series
         channels.append(series)
@@ -83,13 +86,15 @@ def currents(statistics: Sequence[FrameStatistics], baseline) -> Currents | None
     if pair is None or pair[1] is None or baseline is None or pair[0].clipped.all():
         return None
     long, short, seconds = pair
-    charge, law = _charge_and_law(long, short, baseline)
+    charge, law, untold = _charge_and_law(long, short, baseline)
+    if untold is not None:  # what no hot pixels hold belongs to the others
+        law = law._replace(fraction=0.0)
     out = long.clipped | law.is_hot(charge)
     if out.all():
         return None
     every, noises = charge_map(long, short, baseline)
     noises = noises[~out]
-    noise, total = float(np.median(noises)), law.variance
+    noise, total = _usual_noise(long, short, baseline), law.variance
     error = total * np.sqrt(2 / noises.size)
     if law.shape:  # noise beside the currents bends the law: their own scatter says more of the tail
         squares = (charge[~out] - charge[~out].mean()) ** 2
@@ -152,19 +157,9 @@ def hot_pixels(statistics: Sequence[FrameStatistics], baseline=None) -> Estimate
     long, short, seconds = pair
     if long.clipped.all():
         return NotMeasurable("every pixel of the longest dark is cut off: record a shorter one")
-    charge, law = _charge_and_law(long, short, baseline)
-    values = charge[~long.clipped]
-    full = int(np.sum(charge_fills(long, short)))
-    above = full + int(np.sum(law.is_hot(values) if law.shape else values > law.middle + FAR * law.scale))
-    if above - full < 10 or (law.shape and not law.fraction):
-        return NotMeasurable("fewer than ten hot pixels: record a longer dark, or a larger frame")
-    below = int(np.sum(values < law.middle - FAR * law.scale))
-    if stats.binom.sf(above - 1, above + below, 0.5) > BY_CHANCE:
-        return NotMeasurable(
-            "as many pixels lie far below the median as above, and hot ones lie above: record a longer dark"
-        )
-    if law.errors is None:
-        return NotMeasurable("hot pixels are not told from the healthy ones: record a longer dark")
+    _, law, untold = _charge_and_law(long, short, baseline)
+    if untold is not None or law.errors is None:
+        return untold or _NOT_APART
     # Twice the gain of two parameters is a chi-squared of two degrees of freedom by chance.
     rate = dataclasses.replace(
         log_estimate(law.height / seconds, law.errors[1]), chance=float(np.exp(-law.nats))
@@ -183,16 +178,17 @@ def hot_map(
     if pair is None or baseline is None:
         return None
     long, short, seconds = pair
-    charge, law = _charge_and_law(long, short, baseline)
+    charge, law, _ = _charge_and_law(long, short, baseline)
     law = law._replace(height=e_per_s * seconds, fraction=fraction)
-    return np.where(law.is_hot(charge), (charge - law.middle) / law.height, 0.0)
+    # Hot pixels have the mean current of the others as well.
+    return np.where(law.is_hot(charge), np.maximum(charge - law.mean, 0.0) / law.height, 0.0)
 
 
 def _charge_and_law(
     long: FrameStatistics, short: FrameStatistics | None, baseline
-) -> tuple[Float[np.ndarray, "H W"], PixelLaw]:
-    """Charge of every pixel beyond what a glow shares out, e-, and its law. Pixels that jump, whose level
-    that is rather than charge, count as ordinary."""
+) -> tuple[Float[np.ndarray, "H W"], PixelLaw, NotMeasurable | None]:
+    """Charge of every pixel beyond what a glow shares out, e-, its law, and why that tells no hot pixels.
+    Pixels that jump, whose level that is rather than charge, count as ordinary."""
     charge, _ = charge_map(long, short, baseline)
     charge = above_level(charge)
     charge = np.where(_jumps(long, charge, baseline), np.median(charge), charge)
@@ -204,7 +200,35 @@ def _charge_and_law(
     full = charge[charge_fills(long, short)]
     values = charge[~long.clipped]
     top = float(np.median(full) - np.median(values)) if full.size else 0.0
-    return charge, law_of(values, least=least, full=full.size, ceiling=max(top, 0.0))
+    noise = float(np.sqrt(_usual_noise(long, short, baseline)))
+    law = law_of(
+        values, noise=noise, shot=1 / long.recording.count, least=least, full=full.size, ceiling=max(top, 0.0)
+    )
+    return charge, law, _no_hot_ones(values, law, full.size)
+
+
+def _no_hot_ones(values: Float[np.ndarray, "n"], law: PixelLaw, full: int) -> NotMeasurable | None:
+    """Why no hot pixels are told, beside those that are full."""
+    above = full + int(np.sum(law.is_hot(values) if law.shape else values > law.middle + FAR * law.scale))
+    if above - full < 10 or (law.shape and not law.fraction):
+        return NotMeasurable("fewer than ten hot pixels: record a longer dark, or a larger frame")
+    below = int(np.sum(values < law.middle - FAR * law.width))
+    if stats.binom.sf(above - 1, above + below, 0.5) > BY_CHANCE:
+        return NotMeasurable(
+            "as many pixels lie far below the median as above, and hot ones lie above: record a longer dark"
+        )
+    return _NOT_APART if law.errors is None else None
+
+
+def _usual_noise(long: FrameStatistics, short: FrameStatistics | None, baseline) -> float:
+    """Variance of the noise of the charge of a usual pixel, e-^2, by the median over the pixels."""
+    found = 0.0
+    for s in (long,) if short is None else (long, short):
+        for c in range(4):
+            read = baseline.read_noise[c] ** 2
+            usual = read if s.variance is None else usual_variance(s, c)
+            found += usual / baseline.gain[c] ** 2 / s.recording.count / 4
+    return found
 
 
 def _jumps(long: FrameStatistics, charge: Float[np.ndarray, "H W"], baseline) -> Bool[np.ndarray, "H W"]:

@@ -33,6 +33,8 @@ _FROZEN = 4.0
 """Pixels whose average lies further out than so many times their own noise are hot, and do not count."""
 _VISIBLE = 2.0
 """Least distance of two levels, in units of the noise: closer ones are any other shape of noise."""
+_SCALES = 5.0
+"""Logarithm of the noise over the measured one, at most: a first step of a fit may go anywhere."""
 _NEARLY_GAUSSIAN = 0.12
 """Lambda of Tukey's law with an excess kurtosis of 0.08; it has none at 0.135."""
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(9)
@@ -144,7 +146,7 @@ def _sample(series: Float[np.ndarray, "T n"], values: int, seed: int) -> Float[n
 
 def _values(laws: Sequence[str], x: np.ndarray) -> dict[str, float]:
     """Parameters by name, the scale of the noise with them."""
-    out, at = {"scale": float(np.exp(x[0]))}, 1
+    out, at = {"scale": float(np.exp(np.clip(x[0], -_SCALES, _SCALES)))}, 1
     for law in laws:
         for name, back in zip(_PARTS[law].names, _PARTS[law].back, strict=True):
             out[name] = float(back(x[at]))

@@ -59,12 +59,23 @@ def crosstalk(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates
         reach.append(float(expected.mean()))
     rho, stderr = np.sum(seen) / np.sum(reach), float(np.linalg.norm(errors)) / np.sum(reach)
 
-    def given(r: float) -> float:
-        return _solved(lambda a: (1 - a) * a / 4 / ((1 - a) ** 2 + a**2 / 4), r, 0.6)
+    def shared(a: float) -> float:
+        return (1 - a) * a / 4 / ((1 - a) ** 2 + a**2 / 4)
 
+    def given(r: float) -> float:
+        return _solved(shared, r, _MOST_GIVEN)
+
+    if abs(rho) > shared(_MOST_GIVEN):
+        return _NO_CROSSTALK
     return {"fraction": _through(given, float(rho), float(stderr))}
 
 
+_MOST_GIVEN = 0.6
+"""Share of the charge given away, the largest: of a larger one neighbours are no more alike."""
+_NO_CROSSTALK = NotMeasurable(
+    "neighbours in the flats are more alike than crosstalk makes them: the light moves, or frames are "
+    "smoothed: record raw frames of an even, steady light"
+)
 _BLEND_LAGS = (((0, 2), (2, 0)), ((2, 2), (2, -2)), ((0, 4), (4, 0)))
 """Lags at which a blend with the nearest of the same colour shows: beside, diagonally, and two away."""
 

@@ -1,0 +1,18 @@
+"""What bears on all numbers of a photon transfer, and is said where it is run as well as beside them."""
+
+from __future__ import annotations
+
+from cannoise_jax.physics.transfer.estimate import Estimate
+from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer
+from cannoise_jax.physics.transfer.smoothed import flats_alike, smoothed
+from cannoise_jax.physics.transfer.stated_gain import far_from_stated
+
+
+def doubts(result: PhotonTransfer) -> tuple[str, ...]:
+    """Reasons why the gain of one setting, and all that is in electrons, may be no gain of the sensor."""
+    gains = [o.value for o in result.outcomes("system gain") if isinstance(o, Estimate)]
+    lines = [q.doubt for q in result.quantities if q.doubt]
+    lines = [max(lines, key=len)] if lines else []
+    lines.append(smoothed(result.statistics) or flats_alike(result.statistics))
+    lines.append(far_from_stated((s.recording for s in result.statistics), gains))
+    return tuple(filter(None, lines))

@@ -1,0 +1,64 @@
+"""Whether frames were smoothed before they were stored: their noise is then no longer that of single pixels.
+
+Read noise is the pixel's own, or is shared along rows, along columns or by a wave. None of these is shared by
+neighbours across and down alike and no longer some pixels away: a filter, a scaling or the filling in of
+colours leaves such a noise. What tells noise of rows, of columns, pink noise, waves and loud values takes the
+rest for white, so that of smoothed frames none of it may enter a camera model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from cannoise_jax.physics.transfer.estimators.neighbours import lag_covariances
+from cannoise_jax.physics.transfer.estimators.pick import brightest_flat, darkest
+from cannoise_jax.physics.transfer.frames import FrameStatistics
+
+_DARK = 0.15
+"""Correlation with the neighbours, less that some pixels away, from which darks are smoothed: crosstalk of a
+quarter of the charge leaves as much where dark charge makes all of the noise."""
+_FLAT = 0.45
+"""The same of flats: crosstalk, which they show, can leave 0.48, with 60 % of the charge given away."""
+_AWAY = (7, 8)
+"""Pixels from which on filters reach no further."""
+
+
+def smoothed(statistics: Sequence[FrameStatistics]) -> str:
+    """That the noise of neighbours in darks is alike as no sensor makes it, and what to record; empty where
+    it is not."""
+    alike = _alike(darkest(statistics), _DARK)
+    return alike and (
+        f"the frames are processed, not raw: {alike}, as after smoothing, scaling or filling in of "
+        "colours; gain and noise are those of the smoothed codes: record raw frames"
+    )
+
+
+def flats_alike(statistics: Sequence[FrameStatistics]) -> str:
+    """The same of flats, whose light may move as well."""
+    alike = _alike(brightest_flat(statistics), _FLAT)
+    return alike and (
+        f"{alike}, as where the light moves between them or frames are smoothed: the gain is not to be "
+        "trusted, record raw frames of a steady light"
+    )
+
+
+def _alike(s: FrameStatistics | None, least: float) -> str:
+    if s is None or min(s.recording.size) < 2 * _AWAY[-1]:
+        return ""
+    across, down = _shared(s)
+    if min(across, down) < least:
+        return ""
+    kind = f"{s.recording.kind}s" if s.recording.kind != "bias" else "biases"
+    return f"the noise of neighbours in the {kind} is alike by {across:.2f} across and {down:.2f} down"
+
+
+def _shared(s: FrameStatistics) -> tuple[float, float]:
+    """Correlation with the next pixel across and down, less the largest some pixels away."""
+    far = tuple(lag for n in _AWAY for lag in ((0, n), (n, 0)))
+    found = lag_covariances(s, ((0, 0), (0, 1), (1, 0), *far))
+    power = max(found[0, 0][0], 1e-12)
+
+    def over(near: tuple[int, int], away: list[tuple[int, int]]) -> float:
+        return (found[near][0] - max(abs(found[lag][0]) for lag in away)) / power
+
+    return over((0, 1), [(0, n) for n in _AWAY]), over((1, 0), [(n, 0) for n in _AWAY])

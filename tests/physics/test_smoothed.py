@@ -1,0 +1,79 @@
+"""Frames that were smoothed and values that are not linear are said, and bring no mechanisms that are not
+there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from cannoise_jax.mechanisms import LISTED
+from cannoise_jax.physics.transfer.doubts import doubts
+from cannoise_jax.physics.transfer.frames import frame_statistics
+from cannoise_jax.physics.transfer.model import find_mechanisms
+from cannoise_jax.physics.transfer.photon_transfer import photon_transfer
+from cannoise_jax.physics.transfer.smoothed import smoothed
+from cannoise_jax.recordings.recording import CaptureSet, Recording
+
+SIZE, FRAMES = (80, 112), 8
+
+
+def recorded(change=lambda frames: frames, lights=((0.1, 8000.0),), seed=0, more=0.0, egain=None):
+    """Flats and darks of 0.5 DN/e- and 4 e- of read noise. change: what is done to frames before they are
+    stored; more: read noise beside it, DN; lights: seconds and electrons of flats."""
+    rng, out = np.random.default_rng(seed), []
+    for kind, (seconds, light) in (("dark", (0.1, 0.0)), *(("flat", at) for at in lights)):
+        charge = rng.poisson(light, (FRAMES, *SIZE)) + 4.0 * rng.standard_normal((FRAMES, *SIZE))
+        codes = np.rint(change(300 + 0.5 * charge + more)).clip(0, 65535).astype(np.uint16)
+        stated = {"exposure_s": seconds, "egain": egain}
+        out.append(Recording(codes, "MONO", (300.0,) * 4, 65535.0, "c", kind, code_step=1.0, **stated))
+    return CaptureSet("c", tuple(out))
+
+
+def blurred(frames):
+    return ndimage.gaussian_filter(frames, (0, 0.7, 0.7))
+
+
+def boxed(frames):
+    return ndimage.uniform_filter(frames, (1, 3, 3))
+
+
+@pytest.mark.parametrize("change", [blurred, boxed])
+def test_smoothed_frames_are_said_and_have_no_noise_of_lines(change):
+    (transfer,) = photon_transfer(recorded(change))
+    assert any("processed, not raw" in line for line in doubts(transfer))
+    findings = find_mechanisms(transfer.statistics, transfer.baseline, LISTED)
+    there = {f.mechanism for f in findings if f.measured is not None}
+    assert there <= {"prnu", "dsnu"}
+
+
+def test_noise_of_rows_and_columns_and_waves_is_no_smoothing():
+    """All of these make neighbours alike, and pixels further away too."""
+    rng, y = np.random.default_rng(1), np.arange(SIZE[0])
+    lines = 3.0 * rng.standard_normal((FRAMES, 1, SIZE[1])) + 3.0 * rng.standard_normal((FRAMES, SIZE[0], 1))
+    wave = 4.0 * np.sin(0.2 * np.arange(SIZE[1]) + 0.3 * y[:, None])
+    drifting = wave * rng.standard_normal((FRAMES, 1, 1))
+    along = np.cumsum(0.4 * rng.standard_normal((FRAMES, *SIZE)), axis=2)
+    for more in (lines, drifting, along - along.mean(2, keepdims=True)):
+        dark = recorded(more=more).recordings[0]
+        assert smoothed([frame_statistics(dark)]) == ""
+    (transfer,) = photon_transfer(recorded())
+    assert doubts(transfer) == ()
+
+
+def test_codes_with_a_gamma_are_said():
+    ladder = [(0.002 * 2**n, 2000.0 * 2**n) for n in range(5)]
+
+    def encoded(frames):
+        return 3000 * (np.maximum(frames - 250, 0) / 16000) ** 0.45
+
+    (straight,) = photon_transfer(recorded(lights=ladder))
+    (bent,) = photon_transfer(recorded(encoded, ladder))
+    assert doubts(straight) == ()
+    assert any("not linear" in line for line in doubts(bent))
+
+
+def test_a_stated_gain_far_off_is_said():
+    (near,), (far,) = (photon_transfer(recorded(egain=e)) for e in (1.8, 0.5))
+    assert doubts(near) == ()
+    assert any("a factor of 4" in line for line in doubts(far))
