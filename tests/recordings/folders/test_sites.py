@@ -1,5 +1,7 @@
 """Colours are told from light that changes along the frame, and a wrong colour order is said."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -73,7 +75,9 @@ def test_lines_with_gains_of_their_own_are_no_mosaic(tmp_path, lines):
     light[(slice(None), slice(None, None, 2)) if lines == "columns" else slice(None, None, 2)] *= 1.2
     plan = folder_of(tmp_path, light)
     assert not plan.problems and plan.sets[0].levels.values["cfa"] == "MONO"
-    assert f"odd and even {lines} of the flats differ by 18 %, which no mosaic does" in notes(plan)
+    assert re.search(
+        rf"odd and even {lines} of the flats differ by 1[6-9] %, which no mosaic does", notes(plan)
+    )
 
 
 @pytest.mark.parametrize(
