@@ -31,6 +31,11 @@ _AT_ONE_GAIN = 3
 _NONE = np.zeros((1, 1), np.float32)
 
 
+def turns(count: int) -> Float[np.ndarray, "n"]:
+    """1 and -1 in turn."""
+    return (1 - 2 * (np.arange(count) % 2)).astype(np.float32)
+
+
 def response(field: Fields, scaling: str) -> np.ndarray:
     """What the standardised field answers to a unit effect: 1/sigma (DN), seconds/sigma (DN/s),
     signal/sigma (fraction), or 1/sigma in DN of the recording."""
@@ -171,8 +176,8 @@ def less_map(
 def _by_lines(values: np.ndarray, response: np.ndarray, axis: str) -> Float[np.ndarray, "h w"]:
     """The part of the values that the pixels of a line share."""
     if axis == BY_TURNS:
-        turns = (-1.0) ** np.arange(len(values))[:, None]
-        return _by_lines(values * turns, response, "column") * turns
+        signs = turns(len(values))[:, None]
+        return _by_lines(values * signs, response, "column") * signs
     along = 1 if axis == "row" else 0
     r = response.astype(np.float64)
     mean = np.sum(values * r, along, keepdims=True) / np.maximum(np.sum(r**2, along, keepdims=True), 1e-30)

@@ -4,11 +4,10 @@ circuits of their own read, have apart from those of odd rows."""
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
 
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.signatures.added import draw, placed, posterior, strength
-from cannoise_jax.signatures.answers import BY_TURNS
+from cannoise_jax.signatures.answers import BY_TURNS, turns
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.handed import Many, Predicted
 from cannoise_jax.signatures.least import random_offsets
@@ -18,16 +17,11 @@ from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import BY_SHIFT, STATIC, Axes, Scales, Signature
 
 
-def signs(rows: int) -> Float[np.ndarray, "h 1"]:
-    """1 and -1 in turn, row by row."""
-    return (1 - 2 * (np.arange(rows) % 2)).astype(np.float32)[:, None]
-
-
 def _turned(fields: Many) -> Many:
     """The fields with the sign of what stays turned in every other row; twice gives them back."""
 
     def own(f: Fields) -> Fields:
-        return f if f.static is None else f._replace(static=f.static * signs(len(f.static)))
+        return f if f.static is None else f._replace(static=f.static * turns(len(f.static))[:, None])
 
     return tuple(own(f) for f in fields)
 
@@ -49,14 +43,14 @@ def columns(scaling: Scales, *, name: str, parameter: str, covers: tuple[str, ..
         if sums is None:
             return None
         mean, doubt = posterior(sums.score, sums.information, found.amplitude**2)
-        turns = signs(fields[0].mean.shape[0])
-        return Predicted(mean * turns, doubt * turns**2, scaling)
+        return Predicted(mean * turns(len(fields[0].mean))[:, None], doubt[None], scaling)
 
     def pattern(fields: Many, found: Score, rng: np.random.Generator) -> np.ndarray | None:
         sums = static_sums(_turned(fields), BY_TURNS, scaling)
         if sums is None:
             return None
-        return draw(sums.score, sums.information, found.amplitude**2, rng) * signs(fields[0].mean.shape[0])
+        drawn = draw(sums.score, sums.information, found.amplitude**2, rng)
+        return drawn * turns(len(fields[0].mean))[:, None]
 
     return Signature(
         name=name,

@@ -8,10 +8,10 @@ from functools import partial
 from typing import NamedTuple, cast
 
 import numpy as np
-from jaxtyping import Float
 
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.signatures.added import placed, strength
+from cannoise_jax.signatures.answers import turns
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.group_sums import LineSums
 from cannoise_jax.signatures.handed import Addition, Found, Many, Predicted, Series
@@ -177,7 +177,7 @@ def by_turns(*, name: str, parameter: str, covers: tuple[str, ...]) -> Signature
     columns of a row differ by. parameter: the mechanism's strength."""
 
     def score(fields: Many, together: Together | None = None) -> Score | None:
-        turned = tuple(f._replace(contrasts=f.contrasts * _turns(f)) for f in fields)
+        turned = tuple(f._replace(contrasts=f.contrasts * turns(f.mean.shape[1])) for f in fields)
         return temporal_score(turned, axis="row", scaling="additive", together=together)
 
     def beside(found: Found) -> dict[str, float]:
@@ -205,7 +205,10 @@ def by_turns(*, name: str, parameter: str, covers: tuple[str, ...]) -> Signature
         detectable=BY_SHIFT,
         least=random_offsets("row", "additive", frozen=False),
         series=lambda field, found: temporal_series(
-            field._replace(contrasts=field.contrasts * _turns(field)), found, axis="row", scaling="additive"
+            field._replace(contrasts=field.contrasts * turns(field.mean.shape[1])),
+            found,
+            axis="row",
+            scaling="additive",
         ),
     )
 
@@ -213,14 +216,9 @@ def by_turns(*, name: str, parameter: str, covers: tuple[str, ...]) -> Signature
 _BY_TURNS = Point("readout", "signal", "row", "redrawn", interleave=2)
 
 
-def _turns(field: Fields) -> Float[np.ndarray, "w"]:
-    """1 and -1 in turn, column by column."""
-    return (1 - 2 * (np.arange(field.mean.shape[1]) % 2)).astype(np.float32)
-
-
 def _turned(field: Fields) -> Fields:
     """The field with the sign of every other column turned; twice gives it back."""
-    sign = _turns(field)
+    sign = turns(field.mean.shape[1])
     static = None if field.static is None else field.static * sign
     return field._replace(contrasts=field.contrasts * sign, static=static)
 

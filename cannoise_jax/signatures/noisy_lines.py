@@ -8,13 +8,12 @@ import numpy as np
 
 from cannoise_jax.physics.transfer.noise_of_lines import Line, Loudness, Squares, loudness, within_lines
 from cannoise_jax.recordings.packing import SITES
-from cannoise_jax.signatures.added import as_map
 from cannoise_jax.signatures.charge_noise import by_charge, of_noise, own_charge
 from cannoise_jax.signatures.fields import Fields, helmert
-from cannoise_jax.signatures.handed import Addition, Found, Many
+from cannoise_jax.signatures.handed import Many
 from cannoise_jax.signatures.known_shape import darks
 from cannoise_jax.signatures.least import Law, Seen, grows
-from cannoise_jax.signatures.pixels import PEAKED, placed_beyond, read_share
+from cannoise_jax.signatures.pixels import PEAKED, placed_beyond, read_share, with_factors
 from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import BY_SHIFT, NO_LAW, Axes, Signature
 from cannoise_jax.signatures.squares import READS
@@ -81,7 +80,7 @@ def spread_of_lines(fields: tuple[Fields, ...], *, axis: Line) -> Score[float] |
     scale = 1 / (2 * read_share(fields))
     width, one_sigma = scale * np.sqrt(variance), scale * np.sqrt(error * np.sqrt(2 / found.freedom))
     spread = float(np.sqrt(np.expm1(width**2)))
-    doubt = scale**2 * (variance + error) * np.sqrt(2 / found.freedom) / (2 * max(width, one_sigma))
+    doubt = scale**2 * found.doubt / (2 * max(width, one_sigma))
     largest = np.argsort(-np.abs(found.logs))[:8]
     return Score(
         log_p=found.chance,
@@ -144,10 +143,6 @@ def own_noise(
     def pattern(fields: Many, score: Score, rng: np.random.Generator) -> np.ndarray:
         return np.sqrt(_read_power(fields, axis, score.payload, rng))
 
-    def simulate(found: Found) -> Addition:
-        maps = {} if found.pattern is None else {"factor": as_map(found.pattern)}
-        return Addition({parameter: found.score.amplitude}, maps)
-
     return Signature(
         name=name,
         axes=Axes("readout", axis, "frozen", "additive", "log-normal variance"),
@@ -160,7 +155,7 @@ def own_noise(
         hides=lambda score: smooth if score.amplitude > PEAKED else (),
         predict=NO_LAW,
         pattern=pattern,
-        simulate=simulate,
+        simulate=with_factors(parameter),
         place=placed_beyond,
         detectable=BY_SHIFT,
         least=partial(_least, axis=axis),

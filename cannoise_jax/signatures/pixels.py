@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy import special, stats
 
+from cannoise_jax.physics.transfer.noise_of_lines import LEAST_SHARE
 from cannoise_jax.signatures.added import as_map, placed
 from cannoise_jax.signatures.charge_noise import own_charge
 from cannoise_jax.signatures.fields import Fields
@@ -130,16 +133,12 @@ def spread_score(fields: tuple[Fields, ...]) -> Score[bool] | None:
     )
 
 
-_LEAST_SHARE = 0.1
-"""Of the variance that is taken to be read noise at least: rounding and dark charge are known but roughly."""
-
-
 def read_share(fields: tuple[Fields, ...]) -> float:
     """Share of the variance of the darks that is read noise: neither rounding nor the shot noise of dark
     charge differs from pixel to pixel with it."""
     chosen = darks(fields)
     shares = [float(np.median(1 - f.shot - f.step**2 / 12 / f.sigma**2)) for f in chosen]
-    return max(float(np.average(shares, weights=[len(f.contrasts) for f in chosen])), _LEAST_SHARE)
+    return max(float(np.average(shares, weights=[len(f.contrasts) for f in chosen])), LEAST_SHARE)
 
 
 def _explains(spread: float, share: float, squares: np.ndarray, n: int) -> bool:
@@ -194,7 +193,7 @@ def _by_read_share(fields: Many) -> list[tuple[float, np.ndarray, int]]:
     for f, v in zip(chosen, level, strict=True):
         least[f.group] = min(v, least.get(f.group, v))
     shares = [
-        round(max(least[f.group] - (f.step / f.unit) ** 2 / 12, _LEAST_SHARE * v) / v, 2)
+        round(max(least[f.group] - (f.step / f.unit) ** 2 / 12, LEAST_SHARE * v) / v, 2)
         for f, v in zip(chosen, level, strict=True)
     ]
     charge = own_charge(fields)
@@ -216,6 +215,16 @@ def read_map(sets: tuple[Seen, ...]) -> Law:
 PEAKED = 0.25
 """Relative spread of the noise from which on all pixels together have a law with a narrow peak: its excess
 kurtosis is then 3 (exp(4 w^2) - 1), 0.8, as `shape` has it for tails."""
+
+
+def with_factors(parameter: str) -> Callable[[Found], Addition]:
+    """Adds the mechanism with its amplitude as `parameter`, and the noise factors that were measured."""
+
+    def simulate(found: Found) -> Addition:
+        maps = {} if found.pattern is None else {"factor": as_map(found.pattern)}
+        return Addition({parameter: found.score.amplitude}, maps)
+
+    return simulate
 
 
 def placed_beyond(found: Found) -> Addition | None:
@@ -241,10 +250,6 @@ def own_noise(
     def pattern(fields: Many, score: Score, rng: np.random.Generator) -> np.ndarray:
         return noise_factors(fields, score.amplitude, rng)
 
-    def simulate(found: Found) -> Addition:
-        maps = {} if found.pattern is None else {"factor": as_map(found.pattern)}
-        return Addition({parameter: found.score.amplitude}, maps)
-
     return Signature(
         name=name,
         axes=Axes("readout", "pixel", "frozen", "additive", "log-normal variance"),
@@ -256,7 +261,7 @@ def own_noise(
         hides=lambda score: smooth if score.amplitude > PEAKED else (),
         predict=NO_LAW,
         pattern=pattern,
-        simulate=simulate,
+        simulate=with_factors(parameter),
         place=placed_beyond,
         detectable=BY_SHIFT,
         least=read_map,

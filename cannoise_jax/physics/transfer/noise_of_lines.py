@@ -26,6 +26,10 @@ _PLAIN = 2.0
 """Standard errors from which on lines are taken to be louder in some frames than in others."""
 
 
+LEAST_SHARE = 0.1
+"""Of the variance that is taken to be read noise at least: rounding and dark charge are known but roughly."""
+
+
 class Squares(NamedTuple):
     """Sums of squares of every pixel over time, in units of the noise, what lines share in each frame taken
     out, and their degrees of freedom."""
@@ -50,6 +54,11 @@ class Loudness(NamedTuple):
     def variance(self) -> float:
         """Of the true logarithms."""
         return max(float(np.sum(self.logs**2)) / self.freedom - self.error, 0.0)
+
+    @property
+    def doubt(self) -> float:
+        """Standard error of that variance."""
+        return (self.variance + self.error) * float(np.sqrt(2 / self.freedom))
 
     @property
     def chance(self) -> float:
@@ -116,9 +125,11 @@ def loudness(
     if spare < _FEWEST:
         return None
 
+    def powers(of: Squares) -> np.ndarray:
+        return (of.squares if axis == "row" else of.squares.T) / of.freedom
+
     def logs(of: Squares) -> np.ndarray:
-        squares = of.squares if axis == "row" else of.squares.T
-        power = _bounded(squares / of.freedom, usable, of.freedom)
+        power = _bounded(powers(of), usable, of.freedom)
         mean = np.add.reduceat(power * usable, starts, axis=1)[known] / count[known]
         return np.log(np.maximum(mean, 1e-6))
 
@@ -128,9 +139,7 @@ def loudness(
         beyond = turns.of_lines - turns.of_pieces
         moving = beyond if beyond > _PLAIN * turns.of_pieces * np.sqrt(2 / spare) else 0.0
     error, rough = max(found.of_pieces + moving, 1e-12), np.zeros(len(known))
-    own = _own_powers(
-        (whole.squares if axis == "row" else whole.squares.T) / whole.freedom, usable, whole.freedom
-    )
+    own = _own_powers(powers(whole), usable, whole.freedom)
     logs_of = np.log(np.maximum(own[known], 1e-6))
     rough[known] = _beyond(logs_of, terms)
     white = float(np.sum(rough**2)) / spare

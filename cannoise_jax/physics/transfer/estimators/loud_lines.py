@@ -9,13 +9,17 @@ import numpy as np
 from cannoise_jax.physics.transfer.estimate import Estimate, Estimates, NotMeasurable, normal_estimate, root
 from cannoise_jax.physics.transfer.estimators.pick import darkest, odd_by_charge, repeated_darks
 from cannoise_jax.physics.transfer.frames import FrameStatistics, steady_frames
-from cannoise_jax.physics.transfer.noise_of_lines import Line, Loudness, Squares, loudness, within_lines
+from cannoise_jax.physics.transfer.noise_of_lines import (
+    LEAST_SHARE,
+    Line,
+    Loudness,
+    Squares,
+    loudness,
+    within_lines,
+)
 from cannoise_jax.physics.transfer.quiet import coarse
 from cannoise_jax.physics.transfer.views import pixel_variance
 from cannoise_jax.recordings.packing import SITES, site
-
-_LEAST_SHARE = 0.1
-"""Of the variance that is taken to be read noise at least: rounding is known but roughly."""
 
 
 def row_read_noise_map(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
@@ -40,12 +44,11 @@ def _spread(statistics: Sequence[FrameStatistics], baseline, axis: Line) -> Esti
     if found is None:
         return NotMeasurable("record larger frames: too few lines, or pixels in them")
     mean = float(np.mean([pixel_variance(dark, c).mean() for c in range(4)]))
-    share = max(1 - dark.code_step**2 / 12 / mean, _LEAST_SHARE)
+    share = max(1 - dark.code_step**2 / 12 / mean, LEAST_SHARE)
     # A logarithm of the noise power is twice that of the noise, of which read noise is a share.
     scale = 1 / (2 * share)
     square = float(np.sum(found.logs**2)) / found.freedom - found.error
-    doubt = (max(square, 0.0) + found.error) * np.sqrt(2 / found.freedom)
-    width = root(normal_estimate(square, float(doubt)).scaled(scale**2))
+    width = root(normal_estimate(square, found.doubt).scaled(scale**2))
     value, *ends = (float(np.sqrt(np.expm1(w**2))) for w in (width.value, *width.ci90))
     return {"spread": Estimate(value, width.stderr, (ends[0], ends[1]), float(np.exp(found.chance)))}
 
