@@ -12,11 +12,12 @@ from cannoise_jax.exports import on_first_use
 
 if TYPE_CHECKING:
     from cannoise_jax.discovery.diagnose import diagnose
+    from cannoise_jax.model_file import load_model
     from cannoise_jax.physics.core.sensor import SensorModel, Settings
     from cannoise_jax.recordings.load import load_capture_set
     from cannoise_jax.recordings.packing import pack, unpack
     from cannoise_jax.recordings.recording import CaptureSet, Recording
-    from cannoise_jax.sampling import load_model, sample_noise
+    from cannoise_jax.sampling import sample_noise
 
 _HOMES = {
     "CaptureSet": "recordings.recording",
@@ -25,7 +26,7 @@ _HOMES = {
     "Settings": "physics.core.sensor",
     "diagnose": "discovery.diagnose",
     "load_capture_set": "recordings.load",
-    "load_model": "sampling",
+    "load_model": "model_file",
     "pack": "recordings.packing",
     "sample_noise": "sampling",
     "unpack": "recordings.packing",

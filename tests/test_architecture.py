@@ -40,7 +40,7 @@ FLOORS = (
         "physics.single_image",
     ),
     ("signatures", "networks"),
-    ("mechanisms", "sampling"),
+    ("mechanisms", "sampling", "model_file"),
     ("evaluation", "tiles"),
     ("discovery.frames",),
     ("discovery.search",),

@@ -17,7 +17,7 @@ from cannoise_jax.recordings.recording import BadInput
 _PACKAGE = "cannoise_jax/"
 _SIMULATION = ("recordings", "physics", "mechanisms", "evaluation")
 _SEARCH = (*_SIMULATION, "vocabulary.py", "signatures", "discovery")
-_TRAINING = (*_SIMULATION, "networks", "training", "sampling.py")
+_TRAINING = (*_SIMULATION, "networks", "training", "sampling.py", "model_file.py")
 _STRUCTURE = (
     "std_ratio", "row_spectrum", "row_spectrum_real", "lag1_horizontal", "lag1_horizontal_real",
     "excess_kurtosis", "excess_kurtosis_real",

@@ -77,7 +77,8 @@ def _run(arguments: argparse.Namespace) -> int:
     from cannoise_jax.recordings.atomic import new_folder, texts_in_place
 
     check_place(arguments.out)
-    transfers, findings = calibrate(capture, own)
+    transfers, said = _photon_transfers(capture)
+    findings = _mechanisms_of(transfers, own)
     now_at("putting the camera model and the table together")
     model = sensor_model(transfers, findings)
     shown = tuple(map(of_all_pixels, transfers))
@@ -90,7 +91,7 @@ def _run(arguments: argparse.Namespace) -> int:
         print(note, end="\n\n")
     now_at("drawing the sheet")
     guessed = filter(None, [guessed_white_of(plan)])
-    texts = _texts(beside, model.camera, shown, capture, (*notes, *_doubted(transfers), *guessed))
+    texts = _texts(beside, model.camera, shown, capture, (*notes, *said, *guessed))
     with (
         new_folder(arguments.out.parent),
         texts_in_place(texts, (arguments.out, arguments.out.with_suffix(".npz"))),
@@ -139,22 +140,6 @@ def _texts(
     }
 
 
-def _doubted(transfers: Sequence[PhotonTransfer]) -> list[str]:
-    """What was said on the way that bears on all numbers of a sheet: flats that no dark is as warm as, what
-    is stated and contradicted by the recordings, and gains that are not to be trusted."""
-    from cannoise_jax.physics.transfer.doubts import doubts
-    from cannoise_jax.physics.transfer.one_temperature import no_dark_as_warm
-    from cannoise_jax.physics.transfer.stated import codes_line, colours_line, exposures_lines
-
-    lines: list[str] = []
-    for transfer in transfers:
-        lines += doubts(transfer)
-        one = transfer.statistics
-        own = [s.recording for s in one]
-        lines += (no_dark_as_warm(own), colours_line(one), codes_line(one), *exposures_lines(one))
-    return list(dict.fromkeys(filter(None, lines)))
-
-
 def _json(document: dict) -> str:
     return json.dumps(_plain(document), indent=1, allow_nan=False) + "\n"
 
@@ -201,13 +186,18 @@ def calibrate(
 
     Raises BadInput when the recordings cannot be used together.
     """
-    from cannoise_jax.mechanisms import LISTED
-    from cannoise_jax.physics.transfer.baseline import Baseline
+    transfers, _ = _photon_transfers(capture)
+    return transfers, _mechanisms_of(transfers, own)
+
+
+def _photon_transfers(capture: CaptureSet) -> tuple[tuple[PhotonTransfer, ...], tuple[str, ...]]:
+    """Photon transfer at every ISO, and of what was warned of on the way that which bears on all numbers of a
+    sheet: flats that no dark is as warm as, what is stated and contradicted by the recordings, and gains that
+    are not to be trusted. Raises BadInput as `calibrate`."""
     from cannoise_jax.physics.transfer.doubts import doubts
     from cannoise_jax.physics.transfer.estimators.particles import told
     from cannoise_jax.physics.transfer.faults import faults
     from cannoise_jax.physics.transfer.frames import FrameStatistics, frame_statistics
-    from cannoise_jax.physics.transfer.model import find_mechanisms
     from cannoise_jax.physics.transfer.one_temperature import of_one_temperature
     from cannoise_jax.physics.transfer.photon_transfer import transfer_at
     from cannoise_jax.physics.transfer.table import setting_of
@@ -219,30 +209,52 @@ def calibrate(
     for recording in counted(capture.recordings, "photon transfer: recordings"):
         every.setdefault(recording.iso, []).append(frame_statistics(recording))
     order = sorted(every, key=lambda iso: (iso is not None, iso))
+    said: list[str] = []
     for iso in order:
         alike[iso], others = of_one_temperature(every[iso])
         with current().doing(lambda: "looking for faults of the recordings"):
             wrong = faults(alike[iso])  # of the gain the table says it
         if refused := wrong.cut_off or wrong.unlike:
             raise BadInput(refused)
-        said = *wrong.stated, wrong.unlit, wrong.defects, wrong.shadows, wrong.longer, wrong.uneven
-        for line in filter(None, (others, *said)):
-            logging.getLogger(__name__).warning("%s: %s", capture.camera, line)
-    if note := told([s for iso in order for s in alike[iso]]):
-        logging.getLogger(__name__).warning("%s: %s", capture.camera, note)
+        said += (others, *wrong.stated)
+        for line in (
+            others,
+            *wrong.stated,
+            wrong.unlit,
+            wrong.defects,
+            wrong.shadows,
+            wrong.longer,
+            wrong.uneven,
+        ):
+            _warn(capture.camera, line)
+    _warn(capture.camera, told([s for iso in order for s in alike[iso]]))
     channels = partial(counted, doing="photon transfer: channels")
     transfers = tuple(transfer_at(every[iso], channels) for iso in order)
     for transfer in transfers:
         for line in doubts(transfer):
-            at = ", ".join(filter(None, (capture.camera, setting_of(transfer))))
-            logging.getLogger(__name__).warning("%s: %s", at, line)
+            said.append(line)
+            _warn(", ".join(filter(None, (capture.camera, setting_of(transfer)))), line)
+    return transfers, tuple(dict.fromkeys(filter(None, said)))
+
+
+def _warn(of: str, line: str) -> None:
+    """Warns of what a camera's recordings have, where there is something."""
+    if line:
+        logging.getLogger(__name__).warning("%s: %s", of, line)
+
+
+def _mechanisms_of(transfers: Sequence[PhotonTransfer], own: Sequence[Entry]) -> tuple[Finding, ...]:
+    """The mechanisms at the first ISO that has a baseline."""
+    from cannoise_jax.mechanisms import LISTED
+    from cannoise_jax.physics.transfer.baseline import Baseline
+    from cannoise_jax.physics.transfer.model import find_mechanisms
+
     for transfer in transfers:
         if isinstance(transfer.baseline, Baseline):
             now_at("mechanisms: which of them explain the others")
             each = partial(counted, doing="mechanisms: estimators", named=lambda entry: entry.record.id)
-            found = find_mechanisms(transfer.statistics, transfer.baseline, (*LISTED, *own), each)
-            return transfers, found
-    return transfers, ()
+            return find_mechanisms(transfer.statistics, transfer.baseline, (*LISTED, *own), each)
+    return ()
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -178,7 +178,7 @@ def _refine(data, folder: Path, plain, arguments):
     from tqdm import tqdm
 
     from cannoise_jax.commands.train import default_config
-    from cannoise_jax.sampling import MODEL_FILE, load_model
+    from cannoise_jax.model_file import MODEL_FILE, load_model
     from cannoise_jax.training.loop import NonFiniteLoss, train
     from cannoise_jax.training.refine import refine_config, refine_data, write_unit
     from cannoise_jax.training.result import write_model

@@ -58,8 +58,8 @@ def _run(arguments, argv: list[str]) -> None:
     from cannoise_jax.evaluation.noise_models import BASELINES, baselines, make_bench, sensors
     from cannoise_jax.evaluation.results_page import results_page
     from cannoise_jax.evaluation.suites import Request
+    from cannoise_jax.model_file import MODEL_FILE, load_model
     from cannoise_jax.physics.synthetic.virtual import virtual_cameras
-    from cannoise_jax.sampling import MODEL_FILE, load_model
 
     tell = stages()
     paths = arguments.model or ([arguments.workdir] if (arguments.workdir / MODEL_FILE).is_file() else [])

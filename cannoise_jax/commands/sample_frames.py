@@ -52,7 +52,7 @@ def synthesise(arguments: argparse.Namespace) -> list[Path]:
     now_at("loading libraries")
     import jax  # only here: flags are checked, and --help answered, without waiting for it
 
-    from cannoise_jax.sampling import load_model
+    from cannoise_jax.model_file import load_model
     from cannoise_jax.tiles import sample_mosaic
 
     now_at("reading the model and the reference")

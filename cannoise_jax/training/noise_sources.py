@@ -16,13 +16,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from cannoise_jax.model_file import load_model
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.single_image import estimate_nlf
 from cannoise_jax.physics.synthetic.scenes import numpy_generator
 from cannoise_jax.recordings.packing import pack, to_mosaic_order, unpack
 from cannoise_jax.recordings.recording import BadInput, mosaic_map
-from cannoise_jax.sampling import Model, load_model, sample_noise
+from cannoise_jax.sampling import Model, sample_noise
 from cannoise_jax.training.denoise_data import HalfReal, dim_scenes, site_medians, with_photons
 from cannoise_jax.training.refine import iso_of, own_black, span_of
 

@@ -13,14 +13,8 @@ from ml_collections import ConfigDict
 
 from cannoise_jax.evaluation.compare import evaluate_model
 from cannoise_jax.evaluation.samplers import Samplers, samplers
-from cannoise_jax.sampling import (
-    MODEL_FILE,
-    Model,
-    make_model,
-    of_camera,
-    sample_noise,
-    save_model,
-)
+from cannoise_jax.model_file import MODEL_FILE, save_model
+from cannoise_jax.sampling import Model, make_model, of_camera, sample_noise
 from cannoise_jax.training.compiler import compiler_options
 from cannoise_jax.training.data import TrainingData
 from cannoise_jax.training.state import State, make_networks

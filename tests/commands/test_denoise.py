@@ -15,9 +15,9 @@ import pytest
 from cannoise_jax.commands.denoise import main
 from cannoise_jax.commands.denoise_sources import verdict_of
 from cannoise_jax.evaluation.denoising import Interval
+from cannoise_jax.model_file import load_model
 from cannoise_jax.recordings.native import read_recording, write_recording
 from cannoise_jax.recordings.recording import BadInput, Recording
-from cannoise_jax.sampling import load_model
 from cannoise_jax.training.denoise import load_denoiser, save_denoiser
 
 

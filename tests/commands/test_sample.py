@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from cannoise_jax.commands.sample import main
+from cannoise_jax.model_file import load_model, save_model
 from cannoise_jax.networks import Encoder, Generator
 from cannoise_jax.recordings.native import read_recording, write_recording
 from cannoise_jax.recordings.recording import Recording
-from cannoise_jax.sampling import Camera, Setting, load_model, make_model, save_model
+from cannoise_jax.sampling import Camera, Setting, make_model
 
 SHOT, READ, BLACK, WHITE = 1e-3, 1e-5, 64.0, 1023.0
 

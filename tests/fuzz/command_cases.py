@@ -138,7 +138,7 @@ def broken_model(kit: Kit, rng: random.Random, folder: Path) -> Case:
     data, how = damaged_bytes(rng, content)
     (folder / "in" / "model.npz").write_bytes(data)
     lost = how in ("cut", "none") and len(data) < 0.9 * len(content)
-    target = "read:cannoise_jax.sampling.load_model"
+    target = "read:cannoise_jax.model_file.load_model"
     return Case("model", target, ["in/model.npz"], "refuse" if lost else "either")
 
 
@@ -169,7 +169,7 @@ def rewritten_model(kit: Kit, rng: random.Random, folder: Path) -> Case:
 
 
 def load_model(path: str) -> None:
-    from cannoise_jax.sampling import load_model
+    from cannoise_jax.model_file import load_model
 
     load_model(path)
 

@@ -219,6 +219,7 @@ CODE = (
     *SIMULATION,
     "cannoise_jax/discovery",
     "cannoise_jax/sampling.py",
+    "cannoise_jax/model_file.py",
     "cannoise_jax/training/denoise.py",
 )
 

@@ -103,28 +103,47 @@ def test_interval_of_the_dark_current_holds_the_doubt_about_the_gain(calibrated)
     assert again.estimates["e_per_s"].stderr < found.estimates["e_per_s"].stderr
 
 
+RATE_OF_THREE, TIMES, READ_E, CUBE = 300.0, np.array([0.05, 0.1, 0.15]), 6.0, (4, 48, 48)
+
+
+def three_exposures(seed, wander=0.0):
+    """Darks of three exposures; wander: of the level from frame to frame, e-, the same in all of a frame."""
+    rng = np.random.default_rng(seed)
+    darks = []
+    for seconds in TIMES:
+        charge = rng.poisson(RATE_OF_THREE * seconds, CUBE) + READ_E * rng.standard_normal(CUBE)
+        charge = charge + wander * rng.standard_normal((CUBE[0], 1, 1))
+        codes = np.clip(np.rint(40 + 0.25 * charge), 0, 1023).astype(np.uint16)
+        recording = Recording(codes, "MONO", (40.0,) * 4, 1023.0, "c", "dark", exposure_s=seconds)
+        darks.append(frame_statistics(recording))
+    return darks
+
+
 def test_an_interval_through_three_exposures_is_as_wide_as_the_noise_makes_it():
     """One degree of freedom alone made widths differ a hundredfold, and half of them miss by luck."""
-    truth, times, read, size = 300.0, np.array([0.05, 0.1, 0.15]), 6.0, (4, 48, 48)
-    found = []
+    truth, times, read, size = RATE_OF_THREE, TIMES, READ_E, CUBE
+    found, of_all = [], []
     for seed in range(40):
-        rng = np.random.default_rng(seed)
-        darks = []
-        for seconds in times:
-            charge = rng.poisson(truth * seconds, size) + read * rng.standard_normal(size)
-            codes = np.clip(np.rint(40 + 0.25 * charge), 0, 1023).astype(np.uint16)
-            darks.append(
-                frame_statistics(
-                    Recording(codes, "MONO", (40.0,) * 4, 1023.0, "c", "dark", exposure_s=seconds)
-                )
-            )
-        found.append(dark_currents(dark_series(darks, 0, 0.25))[:2])
+        darks = three_exposures(seed)
+        found.append(dark_currents(dark_series(darks, [0], [0.25]))[:2])
+        of_all.append(dark_currents(dark_series(darks, range(4), [0.25] * 4))[0])
     # Of the slope: that of means of pixels whose variance is read^2 + charge, of a quarter of the mosaic.
     error = np.sqrt((read**2 + truth * 0.1) / (np.prod(size) / 4) / np.sum((times - 0.1) ** 2))
+    # Four channels together know it twice as well.
+    wide = [e.ci90[1] - e.ci90[0] for e in of_all]
+    assert np.mean([e.ci90[0] <= truth <= e.ci90[1] for e in of_all]) > 0.8
+    assert min(wide) > 1.4 * error and np.quantile(wide, 0.8) < 2.6 * error
     for one in zip(*found, strict=True):
         assert np.mean([e.ci90[0] <= truth <= e.ci90[1] for e in one]) > 0.8
     widths = [e.ci90[1] - e.ci90[0] for e, _ in found]
     assert min(widths) > 2 * 1.4 * error and np.quantile(widths, 0.8) < 2 * 2.6 * error
+
+
+def test_what_moves_all_of_a_frame_is_no_less_for_four_channels():
+    for seed in range(4):
+        darks = three_exposures(seed, wander=4.0)
+        one, all = (dark_series(darks, c, [0.25] * len(c)).mean_error for c in ([0], range(4)))
+        assert np.all(all > 0.8 * one) and np.all(one > 0.3)
 
 
 def test_correlations_of_white_noise_are_zero_within_their_intervals():

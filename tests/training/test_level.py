@@ -12,8 +12,9 @@ import pytest
 
 from cannoise_jax.evaluation.compare import draw_noise, model_columns
 from cannoise_jax.evaluation.kl import clipped_noise
+from cannoise_jax.model_file import load_model
 from cannoise_jax.recordings.recording import BadInput
-from cannoise_jax.sampling import load_model, sample_noise
+from cannoise_jax.sampling import sample_noise
 from cannoise_jax.training import loop
 from cannoise_jax.training.data import load_data
 from cannoise_jax.training.result import samplers_of, write_model
@@ -80,7 +81,7 @@ def test_a_level_of_another_source_is_refused(trained):
 def test_the_way_travels_in_the_file_and_older_files_are_refused(trained, tmp_path):
     import json
 
-    from cannoise_jax.sampling import save_model
+    from cannoise_jax.model_file import save_model
 
     model = trained[2].replace(level="estimated")
     save_model(tmp_path / "model.npz", model)

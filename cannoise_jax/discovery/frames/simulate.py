@@ -23,11 +23,12 @@ from cannoise_jax.discovery.frames.contrasts import MOST_FRAMES, code_step, stac
 from cannoise_jax.discovery.frames.dust import beside_dust
 from cannoise_jax.discovery.frames.smooth import smooth_mean
 from cannoise_jax.discovery.frames.splits import split_recordings
+from cannoise_jax.model_file import load_model
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.settings import baseline_at, black_at, settings_of
 from cannoise_jax.recordings.packing import pack, unpack
 from cannoise_jax.recordings.recording import DARK, LIT, BadInput, CaptureSet, Recording, iso_numbers
-from cannoise_jax.sampling import SMALLEST, Model, load_model, of_camera, sample_noise
+from cannoise_jax.sampling import SMALLEST, Model, of_camera, sample_noise
 
 _ALONE = threading.Lock()
 """Held by whoever calls a function of someone else, which need not bear two calls at once."""

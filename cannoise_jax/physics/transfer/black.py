@@ -238,11 +238,12 @@ def as_long(first_s: float, second_s: float, darks: Sequence[FrameStatistics]) -
     return alike(first_s, second_s, _SAME, _least_seconds(darks))
 
 
-def mean_error(s: FrameStatistics, channel: int) -> float:
-    """Error of a channel's mean over a recording: from the pixels' noise, or from the scatter of the frames
-    where that is significantly larger (chi-square at 99.9 %)."""
-    frames = s.frame_means[:, channel]
-    pixel = 0.0 if s.total is None else float(site(s.total, channel).mean()) / site(s.mean, channel).size
+def mean_error(s: FrameStatistics, channels: Sequence[int]) -> float:
+    """Error of the mean of some channels over a recording: from the pixels' noise, or from the scatter of the
+    frames where that is significantly larger (chi-square at 99.9 %)."""
+    frames = s.frame_means[:, list(channels)].mean(1)
+    noise = [0.0 if s.total is None else float(site(s.total, c).mean()) for c in channels]
+    pixel = float(np.mean(noise)) / (site(s.mean, channels[0]).size * len(noise))
     if len(frames) < 2:
         return max(np.sqrt(pixel), 1e-6)
     scatter, dof = float(frames.var(ddof=1)), len(frames) - 1
@@ -278,7 +279,7 @@ def _as_warm(s: FrameStatistics, temperature_c: float | None) -> bool:
 
 
 def _errors(s: FrameStatistics) -> PerChannel:
-    errors = np.array([mean_error(s, c) for c in range(4)])
+    errors = np.array([mean_error(s, [c]) for c in range(4)])
     return per_channel(errors if s.rounded is None else np.hypot(errors, s.rounded[1]))
 
 
@@ -291,7 +292,7 @@ def _extended(series: Sequence[FrameStatistics], seconds: float) -> tuple[PerCha
     values, errors = np.empty(4), np.empty(4)
     for c in range(4):
         # A code's rounding is even over the noise of pixels, but no mean is surer than a thousandth of a DN.
-        sigma = np.array([max(mean_error(s, c), 1e-3) for s in series])
+        sigma = np.array([max(mean_error(s, [c]), 1e-3) for s in series])
         covariance = np.linalg.inv((design / sigma[:, None] ** 2).T @ design)
         line = covariance @ (design.T @ (levels[:, c] / sigma**2))
         square, dof = float(np.sum(((levels[:, c] - design @ line) / sigma) ** 2)), len(times) - 2

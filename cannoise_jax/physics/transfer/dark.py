@@ -35,16 +35,18 @@ _ALIKE = 0.25
 """Of the dark current by the variance, by which that by the mean is off where the black level is clamped, or
 light leaks in: a response that bends takes less."""
 _NOISE_FLOOR = 0.02  # relative error granted to every mean square besides its statistical one
-_KNOWN = 4.0
+_KNOWN = 8.0
 """Degrees of freedom that the known errors of the values are worth beside the scatter about a line: three
-exposures leave one, and an interval from that alone is of any width."""
+exposures leave one, and an interval from that alone is of any width. By Monte Carlo of three to six
+exposures intervals then hold the truth in 92 to 93 % of the draws, and 84 to 86 % where the levels wander by
+as much again."""
 _SCATTERED = 0.05
 """Chance of so much scatter by the known errors below which scatter alone tells."""
 
 
 class Series(NamedTuple):
-    """Darks of one channel over exposure time: mean (e- above any constant) and temporal variance (e-^2),
-    and the errors of both, that of the variance without `_NOISE_FLOOR`."""
+    """Darks of one channel, or of several on average, over exposure time: mean (e- above any constant) and
+    temporal variance (e-^2), and the errors of both, that of the variance without `_NOISE_FLOOR`."""
 
     seconds: Float[np.ndarray, "n"]
     mean: Float[np.ndarray, "n"]
@@ -54,14 +56,14 @@ class Series(NamedTuple):
 
 
 def dark_series(
-    darks: Sequence[FrameStatistics], channel: int, gain: float,
+    darks: Sequence[FrameStatistics], channels: Sequence[int], gains: Sequence[float],
     apart: tuple[Bool[np.ndarray, "H W"], bool] | None = None,
 ) -> Series | NotMeasurable:  # fmt: skip
-    """One channel of repeated darks of known exposure, in electrons.
+    """Repeated darks of known exposure, in electrons, averaged over some channels.
 
     Pixels that clip, or that are hot in the longest dark, are left out (`transfer.dark_pixels`). apart: which
-    these are of all pixels, and whether the dark currents of the others are alike; None: the channel by
-    itself tells.
+    these are of all pixels, and whether the dark currents of the others are alike; None: each channel by
+    itself tells. gains: DN/e- of the channels.
     """
     series = sorted(
         (s for s in darks if s.variance is not None and s.recording.exposure_s is not None),
@@ -71,24 +73,47 @@ def dark_series(
     if len(repeated) < 3:
         single = {s.recording.exposure_s for s in darks} - repeated - {None}
         return NotMeasurable(_second(single) if len(repeated) + len(single) > 2 else RECORD)
-    if apart is None:
-        keep, alike = _ordinary(series[0], series[-1], channel, gain)
-    else:
-        keep, alike = ~site(apart[0], channel), apart[1]
-    for s in series:
-        keep &= ~site(s.clipped, channel)
-    if not keep.any():
-        return NotMeasurable("every pixel of the darks is cut off or hot: record shorter ones")
-    rows = []
-    for s in series:
-        value, count = _mean_variance(s, channel, keep, alike)
-        error = value * np.sqrt(2 / (count * s.dof))
-        mean = float(site(s.mean, channel)[keep].mean())
-        seen, step = dither(s, channel), s.code_step
-        doubt = np.hypot(mean_error(s, channel), step * mean_bias(seen)) / gain
-        error = np.hypot(error, step**2 * variance_bias(seen))
-        rows.append((s.recording.exposure_s, mean / gain, doubt, value / gain**2, error / gain**2))
-    return Series(*np.array(rows, np.float64).T)
+    kept = []
+    for c, gain in zip(channels, gains, strict=True):
+        if apart is None:
+            keep, alike = _ordinary(series[0], series[-1], c, gain)
+        else:
+            keep, alike = ~site(apart[0], c), apart[1]
+        for s in series:
+            keep &= ~site(s.clipped, c)
+        if not keep.any():
+            return NotMeasurable("every pixel of the darks is cut off or hot: record shorter ones")
+        kept.append(_Kept(c, gain, keep, alike))
+    return Series(*np.array([_at(s, kept) for s in series], np.float64).T)
+
+
+class _Kept(NamedTuple):
+    """The pixels of a channel that count, and whether their dark currents are alike. gain: DN/e-."""
+
+    channel: int
+    gain: float
+    pixels: Bool[np.ndarray, "h w"]
+    alike: bool
+
+
+def _at(s: FrameStatistics, kept: Sequence[_Kept]) -> tuple[float, float, float, float, float]:
+    """One dark as `Series` has it. The noise of the channels is independent; what moves all of a frame, and
+    what rounding hides, is common to them."""
+    means, squares, errors, rounded = [], [], [], []
+    for one in kept:
+        value, count = _mean_variance(s, one.channel, one.pixels, one.alike)
+        means.append(float(site(s.mean, one.channel)[one.pixels].mean()) / one.gain)
+        squares.append(value / one.gain**2)
+        errors.append(squares[-1] * np.sqrt(2 / (count * s.dof)))
+        seen, step = dither(s, one.channel), s.code_step / one.gain
+        rounded.append((step * mean_bias(seen), step**2 * variance_bias(seen)))
+    of_mean, of_variance = np.mean(rounded, 0)
+    doubt = mean_error(s, [one.channel for one in kept]) / np.mean([one.gain for one in kept])
+    error = np.linalg.norm(errors) / len(kept)
+    return (
+        s.recording.exposure_s or 0.0, float(np.mean(means)), float(np.hypot(doubt, of_mean)),
+        float(np.mean(squares)), float(np.hypot(error, of_variance)),
+    )  # fmt: skip
 
 
 def _mean_variance(

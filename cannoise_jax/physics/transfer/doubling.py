@@ -61,7 +61,7 @@ def _rate(darks: Sequence[FrameStatistics]) -> tuple[float, float] | None:
         return None
     seconds = np.array([t for t, _ in timed])
     levels = np.array([float(np.mean(mean_level(s))) for _, s in timed])
-    errors = np.array([max(float(np.mean([mean_error(s, c) for c in range(4)])), 1e-3) for _, s in timed])
+    errors = np.array([max(mean_error(s, range(4)), 1e-3) for _, s in timed])
     weight = errors**-2.0
     rate, spread, rest = _line(seconds, levels, weight)
     # Charge that grows otherwise, or a level that wanders, shows about the line.

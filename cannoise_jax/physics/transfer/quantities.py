@@ -228,7 +228,7 @@ def series_of(
 ) -> Series | NotMeasurable:
     """The darks of one channel over their exposures, in electrons."""
     darks = [s for s in statistics if s.recording.kind in DARK]
-    return line if isinstance(line, NotMeasurable) else dark_series(darks, c, line.slope.value)
+    return line if isinstance(line, NotMeasurable) else dark_series(darks, [c], [line.slope.value])
 
 
 def _own_charge(

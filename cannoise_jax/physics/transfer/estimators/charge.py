@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import stats
 
-from cannoise_jax.physics.transfer.dark import RECORD, Series, dark_currents, dark_series
+from cannoise_jax.physics.transfer.dark import RECORD, dark_currents, dark_series
 from cannoise_jax.physics.transfer.dark_pixels import FAR, MOST_HOT, PixelLaw, above_level, law_of
 from cannoise_jax.physics.transfer.estimate import Z90, Estimate, Estimates, NotMeasurable
 from cannoise_jax.physics.transfer.estimator import BY_CHANCE
@@ -49,14 +49,10 @@ def dark_current(statistics: Sequence[FrameStatistics], baseline=None) -> Estima
     # All channels together tell more of few hot pixels than each by itself, and none counts twice.
     known = found is not None and (found.law.shape or found.law.fraction)
     apart = (found.out, not found.law.shape) if found is not None and known else None
-    channels = []
-    for c in range(4):
-        series = dark_series(darks, c, baseline.gain[c], apart)
-        if isinstance(series, NotMeasurable):
-            return series
-        channels.append(series)
-    pooled = Series(*(np.mean([getattr(s, name) for s in channels], 0) for name in Series._fields))
-    by_mean, by_variance, agree, _ = dark_currents(pooled, baseline.gain_error)
+    series = dark_series(darks, range(4), baseline.gain, apart)
+    if isinstance(series, NotMeasurable):
+        return series
+    by_mean, by_variance, agree, _ = dark_currents(series, baseline.gain_error)
     rate = by_mean if agree else by_variance
     return {"e_per_s": rate} | _variation(found, rate)
 

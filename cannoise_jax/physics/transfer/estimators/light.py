@@ -81,7 +81,7 @@ def nonlinearity(statistics: Sequence[FrameStatistics], baseline=None) -> Estima
         black, doubt = (np.array([v[c] for v in part]) for part in zip(*(d[:2] for d in darks), strict=True))
         light = np.array([_exposure(s.recording) for s in flats], np.float64)
         signal = np.array([s.frame_means[:, c].mean() for s in flats]) - black
-        error = np.array([mean_error(s, c) for s in flats])
+        error = np.array([mean_error(s, [c]) for s in flats])
         full = full_signal(flats, c)
         use = (signal < 0.95 * (white - black)) & [
             below_full(s, full, b, c) for s, b in zip(flats, black, strict=True)
@@ -121,7 +121,7 @@ def saturation(statistics: Sequence[FrameStatistics], baseline=None) -> Estimate
             noise = float(pixel_variance(s, c).mean()) - baseline.read_noise[c] ** 2
             pixels = site(s.mean, c).size * s.recording.count
             # Of a flat that is hardly above black nothing is full, and its shot noise is not seen.
-            lit = signal > max(10 * mean_error(s, c), 4 * baseline.read_noise[c] ** 2 / baseline.gain[c])
+            lit = signal > max(10 * mean_error(s, [c]), 4 * baseline.read_noise[c] ** 2 / baseline.gain[c])
             if lit and noise < 0.25 * baseline.gain[c] * signal and np.isnan(s.high[c]):
                 error = np.sqrt(float(pixel_variance(s, c).mean()) / pixels + s.code_step**2 / 12 / pixels)
                 found.append((signal / baseline.gain[c], error / baseline.gain[c]))
