@@ -214,7 +214,7 @@ def _photon_transfers(capture: CaptureSet) -> tuple[tuple[PhotonTransfer, ...], 
         alike[iso], others = of_one_temperature(every[iso])
         with current().doing(lambda: "looking for faults of the recordings"):
             wrong = faults(alike[iso])  # of the gain the table says it
-        if refused := wrong.cut_off or wrong.unlike:
+        if refused := wrong.cut_off or wrong.above or wrong.unlike:
             raise BadInput(refused)
         said += (others, *wrong.stated)
         for line in (

@@ -172,13 +172,16 @@ def checked(recording: Recording) -> Recording:
 
 
 def check_fields(recording: Recording) -> None:
-    """Raises BadInput where a recording that was put together in Python has no arrays, texts for
-    numbers, or no kind."""
+    """Raises BadInput where a recording that was put together in Python has no arrays, or frames of another
+    shape, texts for numbers, or no kind."""
     place = recording.path or recording.camera
     for name in ("frames", "clean"):
         value = getattr(recording, name)
         if not (value is None and name == "clean" or hasattr(value, "shape") and hasattr(value, "dtype")):
             raise BadInput(f"{place}: {name} is a {type(value).__name__}: give an array")
+    shape = tuple(recording.frames.shape)
+    if len(shape) != 3:
+        raise BadInput(f"{place}: frames has shape {shape}: give [T, H, W], one frame as [1, H, W]")
     for name in _NUMBERS:
         value = getattr(recording, name)
         if any(isinstance(v, str | bytes) for v in (value if isinstance(value, tuple | list) else (value,))):

@@ -105,6 +105,7 @@ def words(recording: Recording, found: Apart, number: Sequence[int]) -> str:
     names = short_names(recording.sources) if len(recording.sources) == recording.count else ()
     reason = " light reached them (they are brighter too), or" if found.lit else ""
     reason = " an average, or" if found.ratio < 1 else reason
+    reason = f" light that moves,{reason or ' or'}" if recording.kind == "flat" else reason
     which = numbered([number[k] + 1 for k in odd])
     which += f" ({names[odd[0]]}{f' and {len(odd) - 1} more' if len(odd) > 1 else ''})" if names else ""
     beside = f" ({names[others[0]]} ...)" if names else ""

@@ -51,6 +51,22 @@ def test_names_that_are_none_are_refused_in_one_line(more, said):
         diagnose(capture_set(1, kinds="d"), **more)
 
 
+def test_frames_of_another_shape_and_what_is_no_list_are_refused_in_one_line():
+    capture = capture_set(1, kinds="d")
+    for frames in (np.asarray(capture.recordings[0].frames)[0], np.uint16(3)):
+        with pytest.raises(BadInput, match=r"frames has shape .*: give \[T, H, W\]"):
+            diagnose(of_first(capture, frames=frames))
+    with pytest.raises(TypeError, match="is a single Recording: give a tuple"):
+        diagnose(CaptureSet("c", capture.recordings[0]))
+
+
+def test_a_white_level_within_the_noise_of_the_darks_is_refused():
+    capture = capture_set(1, kinds="d")
+    level = float(np.median(capture.recordings[0].frames))
+    with pytest.raises(BadInput, match="most pixels of the darks reach the white level"):
+        diagnose(of_first(capture, white_level=level + 3))
+
+
 @pytest.mark.parametrize("alpha", ("x", None, True))
 def test_an_alpha_that_is_no_number_is_refused_by_name(alpha):
     with pytest.raises(TypeError, match="^alpha is .*between 0 and 1"):

@@ -21,6 +21,8 @@ def checked_capture(capture: Any) -> CaptureSet:
             f"capture is a {type(capture).__name__}: expected a CaptureSet, of load_capture_set(folder) or "
             "CaptureSet(camera, recordings)"
         )
+    if isinstance(capture.recordings, Recording):
+        raise TypeError("capture.recordings is a single Recording: give a tuple of recordings")
     odd = next((r for r in capture.recordings if not isinstance(r, Recording)), None)
     if odd is not None:
         raise TypeError(f"capture.recordings holds a {type(odd).__name__}: expected recordings alone")

@@ -81,11 +81,11 @@ def at_one_temperature(capture: CaptureSet) -> tuple[CaptureSet, tuple[str, ...]
 
 
 def check_measurable(capture: CaptureSet, found: Mapping[float | None, Faults]) -> None:
-    """Raises BadInput where recordings of one ISO are of two gains, and where scenes without a reference are
-    all that is lit at an ISO, and move."""
+    """Raises BadInput where recordings of one ISO are of two gains, or darks above white, and where scenes
+    without a reference are all that is lit at an ISO, and move."""
     for iso, wrong in found.items():
-        if wrong.unlike:
-            raise BadInput(wrong.unlike)
+        if refused := wrong.above or wrong.unlike:
+            raise BadInput(refused)
         lit = [r for r in capture.recordings if r.iso == iso and r.kind == "scene" and r.clean is None]
         if wrong.moves and lit:
             raise BadInput(f"{lit[0].path or capture.camera}: {wrong.moves}")

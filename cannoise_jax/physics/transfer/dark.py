@@ -40,6 +40,8 @@ _KNOWN = 8.0
 exposures leave one, and an interval from that alone is of any width. By Monte Carlo of three to six
 exposures intervals then hold the truth in 92 to 93 % of the draws, and 84 to 86 % where the levels wander by
 as much again."""
+_RISES = 10.0
+"""Standard errors from which the mean of darks surely rises."""
 _SCATTERED = 0.05
 """Chance of so much scatter by the known errors below which scatter alone tells."""
 
@@ -199,6 +201,12 @@ def dark_currents(series: Series, gain_error: float = 0.0) -> tuple[Estimate, Es
         share = 100 * abs(apart / by_variance.value)
         return by_mean, by_variance, True, f"{share:.0f} % {'above' if apart > 0 else 'below'} the variance's"
     note = "disagrees with the variance: black is clamped on the chip, so the mean cannot be used"
+    if by_mean.value > _RISES * error:
+        ratio = by_variance.value / by_mean.value
+        note = (
+            "disagrees with the variance: a part of it is subtracted on the chip, so that the mean cannot be "
+            f"used, or the darks have {ratio:.2g} times the gain of the flats"
+        )
     if apart > 0:
         note = "exceeds what the variance allows: light leak, or black level rising with exposure"
     return by_mean, by_variance, False, note

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from cannoise_jax.physics.transfer.black import flat_seconds, reference_dark, stand_in
 from cannoise_jax.physics.transfer.defects import defects_line, shadows_line
 from cannoise_jax.physics.transfer.estimate import NotMeasurable
@@ -15,11 +17,15 @@ from cannoise_jax.physics.transfer.rails import STILL, contradicted_black, cut_o
 from cannoise_jax.physics.transfer.regions import uneven_noise
 from cannoise_jax.physics.transfer.several_gains import several_gains
 from cannoise_jax.physics.transfer.stated import codes_line, colours_line, exposures_lines
+from cannoise_jax.physics.transfer.unlike_biases import unlike_biases
 from cannoise_jax.physics.transfer.unlit import unlit_line, without_unlit
 from cannoise_jax.recordings.recording import DARK
 
 _LONGER, _LONG_S = 10.0, 1.0
 """Times the exposure of flats, and seconds, from which dark charge may matter in darks and not in flats."""
+
+_MOST = 0.3
+"""Share of the pixels of a dark which reach the white level, where that cannot be the right one."""
 
 
 class Faults(NamedTuple):
@@ -31,7 +37,8 @@ class Faults(NamedTuple):
     the darks'. unlit: no light reaches a part of a flat. longer: the read noise is that of long darks.
     uneven: it differs between parts of the frame. defects: pixels that show nothing. shadows: of dust.
     colours: the greens of the stated order are none. lights, charge: flats, or darks, contradict their
-    exposures. codes: those of flats and darks have not one scale.
+    exposures. codes: those of flats and darks have not one scale. biases: they are no repeats of the darks.
+    above: hardly a pixel of the darks stays below the white level.
     """
 
     cut_off: str = ""
@@ -48,11 +55,13 @@ class Faults(NamedTuple):
     lights: str = ""
     charge: str = ""
     codes: str = ""
+    biases: str = ""
+    above: str = ""
 
     @property
     def stated(self) -> tuple[str, ...]:
         """What is stated of the recordings, or looks as if all were of one camera, and is contradicted."""
-        return self.black, self.colours, self.lights, self.charge, self.codes
+        return self.black, self.colours, self.lights, self.charge, self.codes, self.biases
 
 
 def faults(statistics: Sequence[FrameStatistics], lines: Sequence[Line | NotMeasurable] = ()) -> Faults:
@@ -68,8 +77,25 @@ def faults(statistics: Sequence[FrameStatistics], lines: Sequence[Line | NotMeas
         cut_off(statistics), several_gains(statistics), moves, doubted, contradicted_black(statistics),
         unlit_line(parted), _longer(statistics), _uneven(parted), defects_line(parted),
         shadows_line(parted), colours_line(parted), *exposures_lines(parted),
-        codes_line(parted),
+        codes_line(parted), unlike_biases(parted, slope) if (slope := _mean_slope(drawn)) else "",
+        _above_white(statistics),
     )  # fmt: skip
+
+
+def _above_white(statistics: Sequence[FrameStatistics]) -> str:
+    dark = reference_dark(statistics)
+    white = 0.0 if dark is None else dark.recording.white_level
+    if dark is None or dark.clipped.mean() < _MOST or float(np.median(dark.mean)) < white / 2:
+        return ""
+    return (
+        f"{dark.recording.path or dark.recording.camera}: most pixels of the darks reach the white level "
+        f"({white:g} DN) in some frame, so that they tell no noise: state the right one (--white-level)"
+    )
+
+
+def _mean_slope(drawn: Sequence[Line]) -> float:
+    """Gain over the channels, DN/e-; 0 for none."""
+    return sum(line.slope.value for line in drawn) / len(drawn) if drawn else 0.0
 
 
 def _uneven(statistics: Sequence[FrameStatistics]) -> str:

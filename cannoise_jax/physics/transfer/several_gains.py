@@ -12,6 +12,7 @@ from cannoise_jax.physics.transfer.fit import median_quotient
 from cannoise_jax.physics.transfer.frames import FrameStatistics, of_variance
 from cannoise_jax.physics.transfer.full_well import below_full, full_signal
 from cannoise_jax.physics.transfer.rails import LINEAR, below_rail
+from cannoise_jax.physics.transfer.smoothed import moving
 from cannoise_jax.physics.transfer.views import dark_shot, pixel_variance
 from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import DARK
@@ -57,7 +58,7 @@ def several_gains(statistics: Sequence[FrameStatistics]) -> str:
             excess = _excess(dim, bright)
             if excess > 0 and (worst is None or excess > worst[0]):
                 worst = excess, dim, bright
-    if worst is None:
+    if worst is None or moving(worst[1].flat) or moving(worst[2].flat):  # that is another fault
         return ""
     low, high = sorted(worst[1:], key=lambda g: g.value)
     first, second = (g.flat.recording.path or g.flat.recording.camera for g in (low, high))

@@ -19,6 +19,9 @@ _DARK = 0.15
 quarter of the charge leaves as much where dark charge makes all of the noise."""
 _FLAT = 0.45
 """The same of flats: crosstalk, which they show, can leave 0.48, with 60 % of the charge given away."""
+_APART, _MOVING, _SIGMAS = 4, 0.1, 5.0
+"""Pixels that no charge reaches across, and the correlation over them from which the light of flats moves: of
+so much of the noise the gain is too large. Standard errors by which it has to be more."""
 _AWAY = (7, 8)
 """Pixels from which on filters reach no further."""
 
@@ -34,11 +37,29 @@ def smoothed(statistics: Sequence[FrameStatistics]) -> str:
 
 
 def flats_alike(statistics: Sequence[FrameStatistics]) -> str:
-    """The same of flats, whose light may move as well."""
+    """The same of flats, whose light may move as well: then pixels further apart are alike too."""
     alike = _alike(brightest_flat(statistics), _FLAT)
+    for s in statistics:
+        alike = alike or moving(s)
     return alike and (
         f"{alike}, as where the light moves between them or frames are smoothed: the gain is not to be "
         "trusted, record raw frames of a steady light"
+    )
+
+
+def moving(s: FrameStatistics) -> str:
+    """That the noise of a flat is alike in pixels further apart than charge of one reaches, both across and
+    down; what rows or columns have together is alike in one direction only. Empty where it is not."""
+    if s.recording.kind != "flat" or s.variance is None or min(s.recording.size) < 2 * _AWAY[-1]:
+        return ""
+    found = lag_covariances(s, ((0, 0), (0, _APART), (_APART, 0)))
+    power = max(found[0, 0][0], 1e-12)
+    across, down = ((found[lag][0] - _SIGMAS * found[lag][1]) / power for lag in ((0, _APART), (_APART, 0)))
+    if min(across, down) < _MOVING:
+        return ""
+    across, down = (found[lag][0] / power for lag in ((0, _APART), (_APART, 0)))
+    return (
+        f"the noise of pixels {_APART} apart in the flats is alike by {across:.2f} across and {down:.2f} down"
     )
 
 

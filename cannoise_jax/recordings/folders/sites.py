@@ -16,7 +16,7 @@ _COLOURED, _SURE = 0.01, 5.0
 standard errors by which they have to."""
 _ENDS = 0.05
 """Share of the cells at either end that no level is made of: hot pixels and dust are there."""
-_GREENS_APART, _GREENS_ALIKE = 0.2, 0.05
+_GREENS_ALIKE = 0.05
 """Greens of one sensor differ by some per cent at most. Those of a wrong order are red and blue."""
 _DIAGONAL = 0.25
 """Of what the sites of a mosaic differ by, that which its greens do at most: rows or columns that are read
@@ -113,12 +113,13 @@ def _colours_of_mono(light: PerChannel) -> str | None:
 
 
 def _greens_apart(light: PerChannel, cfa: str) -> str | None:
-    """That the greens of a stated order are none: they differ grossly, and the other two sites do not."""
+    """That the greens of a stated order are none: they differ by more than greens do, and the other two sites
+    by far less."""
     if cfa not in CFA_PATTERNS or (greens := green_sites(cfa)) is None:
         return None
     others = [s for s in range(4) if s not in greens]
     own, other = (2 * abs(light[a] - light[b]) / max(light[a] + light[b], 1e-9) for a, b in (greens, others))
-    if not (own > _GREENS_APART and other < _GREENS_ALIKE):
+    if own <= _GREENS_ALIKE or other > _DIAGONAL * own:
         return None
     return (
         f"the two greens of {cfa} differ by {100 * own:.0f} % in the flats, and its red and blue are alike: "

@@ -67,6 +67,9 @@ def test_an_order_whose_greens_are_red_and_blue_is_said(tmp_path):
         assert ("the two greens of GBRG differ by" in notes(plan)) == said and not plan.problems
     assert "differ by" in notes(plan_folder(tmp_path / "RGGB", {"cfa": "GRBG"}))
     assert other_colours(np.array([1200.0, 3000, 2000, 900]), "GBRG") is None  # no order has equal greens
+    # Red and blue of one grey wall may be near each other; greens never are so far apart beside equal ones.
+    assert other_colours(np.array([3000.0, 1800, 1500, 3001]), "RGGB")
+    assert other_colours(np.array([3000.0, 3240, 3000, 3090]), "RGGB") is None
 
 
 @pytest.mark.parametrize("lines", ["columns", "rows"])
