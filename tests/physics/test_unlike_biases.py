@@ -1,4 +1,4 @@
-"""Biases that are no repeats of the darks, and light that moves under the flats, are said."""
+"""Biases that are no repeats of the darks, darks of two levels, light that moves and two amplifiers."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from cannoise_jax.physics.transfer.doubts import doubts
+from cannoise_jax.physics.transfer.faults import faults
 from cannoise_jax.physics.transfer.frames import frame_statistics
 from cannoise_jax.physics.transfer.photon_transfer import photon_transfer
+from cannoise_jax.physics.transfer.regions import uneven_halves
 from cannoise_jax.physics.transfer.several_gains import several_gains
 from cannoise_jax.physics.transfer.smoothed import moving
+from cannoise_jax.physics.transfer.stated import levels_line
 from cannoise_jax.physics.transfer.unlike_biases import unlike_biases
 from cannoise_jax.recordings.recording import CaptureSet, Recording
 
@@ -74,3 +77,26 @@ def test_light_that_moves_under_the_flats_is_said_and_is_no_other_gain():
     assert any("the light moves" in line and "gain is not to be trusted" in line for line in doubts(transfer))
     others = [frame_statistics(r) for r in (dark(0.0), flat(2000.0))]
     assert not several_gains([*others, moved])
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_two_amplifiers_of_unlike_gains_are_said(axis):
+    rng = np.random.default_rng(9)
+    response = 1 + 0.01 * rng.standard_normal(SIZE) + 0.003 * rng.standard_normal(SIZE[1])
+    response *= np.linspace(0.8, 1.1, SIZE[0])[:, None]
+    half = np.ones(SIZE)
+    np.moveaxis(half, axis, 0)[SIZE[axis] // 2 :] = 1.05
+    for gains, steps in ((half, True), (np.ones(SIZE), False)):
+        charge = rng.poisson(8000 * response * gains, (FRAMES, *SIZE))
+        recordings = dark(0.0), stored(OFFSET + GAIN * charge, "flat", 0.1)
+        found = faults([frame_statistics(r) for r in recordings])
+        assert ("as of two amplifiers" in found.uneven) == steps
+    assert uneven_halves(None, None) == ""
+
+
+def test_darks_of_two_levels_are_said_and_an_offset_that_wanders_is_not():
+    both = np.concatenate([dark(t, seed=n).frames for n, t in enumerate((60.0, 300.0))])
+    said = levels_line([frame_statistics(stored(both, "dark", 60.0))])
+    assert "8 of its 16 frames lie 120 DN above the others" in said
+    steps = np.random.default_rng(2).normal(0, 20, (2 * FRAMES, 1, 1))
+    assert not levels_line([frame_statistics(stored(both[:FRAMES].repeat(2, 0) + steps, "dark", 60.0))])

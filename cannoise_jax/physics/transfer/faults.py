@@ -10,13 +10,14 @@ import numpy as np
 from cannoise_jax.physics.transfer.black import flat_seconds, reference_dark, stand_in
 from cannoise_jax.physics.transfer.defects import defects_line, shadows_line
 from cannoise_jax.physics.transfer.estimate import NotMeasurable
+from cannoise_jax.physics.transfer.estimators.pick import brightest_flat
 from cannoise_jax.physics.transfer.fit import Line
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.quantities import SET_ASIDE, set_aside
 from cannoise_jax.physics.transfer.rails import STILL, contradicted_black, cut_off
-from cannoise_jax.physics.transfer.regions import uneven_noise
+from cannoise_jax.physics.transfer.regions import uneven_halves, uneven_noise
 from cannoise_jax.physics.transfer.several_gains import several_gains
-from cannoise_jax.physics.transfer.stated import codes_line, colours_line, exposures_lines
+from cannoise_jax.physics.transfer.stated import codes_line, colours_line, exposures_lines, levels_line
 from cannoise_jax.physics.transfer.unlike_biases import unlike_biases
 from cannoise_jax.physics.transfer.unlit import unlit_line, without_unlit
 from cannoise_jax.recordings.recording import DARK
@@ -35,10 +36,12 @@ class Faults(NamedTuple):
     cut_off: darks show neither read noise nor black level. unlike: flats and darks are of two gains. moves:
     scenes tell no gain. doubted: flats tell one that may be wrong. black: the stated black level is none of
     the darks'. unlit: no light reaches a part of a flat. longer: the read noise is that of long darks.
-    uneven: it differs between parts of the frame. defects: pixels that show nothing. shadows: of dust.
+    uneven: it, or the gain, differs between parts of the frame. defects: pixels that show nothing. shadows:
+    of dust.
     colours: the greens of the stated order are none. lights, charge: flats, or darks, contradict their
     exposures. codes: those of flats and darks have not one scale. biases: they are no repeats of the darks.
-    above: hardly a pixel of the darks stays below the white level.
+    above: hardly a pixel of the darks stays below the white level. levels: frames of a
+    dark lie at two.
     """
 
     cut_off: str = ""
@@ -57,11 +60,12 @@ class Faults(NamedTuple):
     codes: str = ""
     biases: str = ""
     above: str = ""
+    levels: str = ""
 
     @property
     def stated(self) -> tuple[str, ...]:
         """What is stated of the recordings, or looks as if all were of one camera, and is contradicted."""
-        return self.black, self.colours, self.lights, self.charge, self.codes, self.biases
+        return self.black, self.colours, self.lights, self.charge, self.codes, self.biases, self.levels
 
 
 def faults(statistics: Sequence[FrameStatistics], lines: Sequence[Line | NotMeasurable] = ()) -> Faults:
@@ -78,7 +82,7 @@ def faults(statistics: Sequence[FrameStatistics], lines: Sequence[Line | NotMeas
         unlit_line(parted), _longer(statistics), _uneven(parted), defects_line(parted),
         shadows_line(parted), colours_line(parted), *exposures_lines(parted),
         codes_line(parted), unlike_biases(parted, slope) if (slope := _mean_slope(drawn)) else "",
-        _above_white(statistics),
+        _above_white(statistics), levels_line(statistics),
     )  # fmt: skip
 
 
@@ -100,7 +104,7 @@ def _mean_slope(drawn: Sequence[Line]) -> float:
 
 def _uneven(statistics: Sequence[FrameStatistics]) -> str:
     dark = reference_dark(statistics)
-    return "" if dark is None else uneven_noise(dark)
+    return "" if dark is None else uneven_noise(dark) or uneven_halves(brightest_flat(statistics), dark)
 
 
 def _longer(statistics: Sequence[FrameStatistics]) -> str:

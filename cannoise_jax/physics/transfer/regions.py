@@ -1,12 +1,14 @@
-"""Whether the noise of a dark is one all over the frame: amplifiers of their own have another each, and what
-their pixels do would be taken for noise of single pixels."""
+"""Whether a sensor is one all over the frame: amplifiers of their own have another noise and another gain
+each, and what their pixels do would be taken for that of single pixels or columns."""
 
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Float
 
 from cannoise_jax.physics.transfer.fit import median_quotient
 from cannoise_jax.physics.transfer.frames import FrameStatistics
+from cannoise_jax.recordings.packing import SITES
 
 _GRID = 4
 """Regions along either side."""
@@ -19,6 +21,11 @@ _SIGMAS = 6.0
 """Standard errors by which they have to differ beyond that."""
 _OF_MEDIAN = 0.6
 """What the median of a mean square is worth of its mean."""
+_BESIDE = 8
+"""Columns, or rows, of one colour on either side of the middle that tell a step there."""
+_STEP, _OTHERS = 0.01, 8.0
+"""Of the light, the step from which two halves have gains of their own, and times the usual step elsewhere:
+light is smooth, and columns differ all over the frame."""
 
 
 def uneven_noise(dark: FrameStatistics) -> str:
@@ -41,3 +48,38 @@ def uneven_noise(dark: FrameStatistics) -> str:
         f"the noise of the dark differs between parts of the frame ({low:.3g} to {high:.3g} DN), as of "
         "amplifiers of their own: calibrate each part by itself (where it is a glow: record shorter darks)"
     )
+
+
+def uneven_halves(flat: FrameStatistics | None, dark: FrameStatistics | None) -> str:
+    """That the light of a flat steps in the very middle of the frame, as two amplifiers of unlike gains make
+    it; empty where it does not."""
+    if flat is None or dark is None or flat.mean.shape != dark.mean.shape:
+        return ""
+    light = flat.mean - dark.mean
+    for lines, axis in (("columns", 0), ("rows", 1)):
+        steps = [found for site in SITES if (found := _middle_step(np.median(light[site], axis=axis)))]
+        if len(steps) == len(SITES) and min(steps) * max(steps) > 0:
+            half = light.shape[1 - axis] // 2
+            return (
+                f"the light of {flat.recording.path or 'the flats'} steps by {100 * np.mean(steps):+.2g} % "
+                f"from {lines[:-1]} {half} to {half + 1}, in the middle of the frame, as of two amplifiers: "
+                "gain, and what differs between pixels, are those of both: calibrate each half by itself"
+            )
+    return ""
+
+
+def _middle_step(profile: Float[np.ndarray, "n"]) -> float:
+    """Share of the light by which a profile steps in its middle; 0 where it does not stand out of the steps
+    elsewhere."""
+    beside = min(_BESIDE, len(profile) // 6)
+    if beside < 3:
+        return 0.0
+    sums = np.convolve(profile, np.ones(beside) / beside, "valid")
+    steps = sums[beside:] - sums[:-beside]
+    # Light that leans makes a slope: the median step, which is taken out.
+    at = len(profile) // 2 - beside
+    step = float(steps[at] - np.median(steps))
+    away = np.abs(np.arange(len(steps)) - at) >= beside
+    usual = float(np.median(np.abs(steps[away] - np.median(steps[away]))))
+    share = step / max(float(np.median(profile)), 1e-9)
+    return share if abs(share) > _STEP and abs(step) > _OTHERS * usual else 0.0

@@ -27,6 +27,8 @@ _ABOVE = 5.0
 _SURE, _FEWEST = 10.0, 20
 """Standard errors that the charge of a hot pixel lies above none, and how many have to."""
 _CLIPPED = 0.01
+_PAIR, _TWICE, _NOISES = 2, 10.0, 2.0
+"""Frames of a level, times their own spread, and noises of a pixel that two levels of one dark lie apart."""
 
 
 def colours_line(statistics: Sequence[FrameStatistics]) -> str:
@@ -57,6 +59,27 @@ def codes_line(statistics: Sequence[FrameStatistics]) -> str:
                 f"codes of {_name(one)} lie {one.code_step:g} DN apart, those of {_name(two)} "
                 f"{two.code_step:g}: one of them was shifted or scaled: give both as the camera wrote them, "
                 "gain and read noise are wrong with it"
+            )
+    return ""
+
+
+def levels_line(statistics: Sequence[FrameStatistics]) -> str:
+    """That the frames of a dark lie at two levels, neither of which is the rule; empty where they do not."""
+    for s in statistics:
+        levels = np.sort(s.frame_means.mean(1))
+        if s.recording.kind not in DARK or s.variance is None or len(levels) < 2 * _PAIR:
+            continue
+        at = int(np.argmax(np.diff(levels))) + 1
+        apart, within = (
+            levels[at] - levels[at - 1],
+            max(np.ptp(levels[:at]), np.ptp(levels[at:]), s.code_step),
+        )
+        room = max(_TWICE * within, _NOISES * float(np.sqrt(np.median(s.variance))))
+        if min(at, len(levels) - at) >= _PAIR and apart > room:
+            return (
+                f"{_name(s)}: {len(levels) - at} of its {len(levels)} frames lie {apart:.3g} DN above the "
+                f"others, and each agree to {within:.2g} DN: two exposures, temperatures or offsets in one "
+                "set, so that what it tells is that of neither: part them"
             )
     return ""
 
