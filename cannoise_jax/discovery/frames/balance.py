@@ -25,6 +25,8 @@ the noise (99.8 % of the variance of a camera of 11,000 electrons)."""
 _MOST_CHANGE = (0.3, 3.0)
 """By which a gain may change: mechanisms of typical strength change it by 0.77 (excess noise) to 1.37
 (denoising in the camera)."""
+_MOST_SHARE = 3.0
+"""By which findings may change the light that a channel shows."""
 _LEAST_READ = 0.05**2
 """Share of the dark variance that stays read noise: a sensor model has no read noise of zero."""
 _ROUNDS = 4
@@ -47,13 +49,15 @@ def _of_lit_rows(record: Mechanism) -> bool:
 def balanced(bare: SensorModel, model: SensorModel, prepared: Prepared) -> SensorModel:
     """The model with gain and read noise lowered so that its temporal variance of the ordinary pixel is that
     of the recordings: at black of the shortest dark, and brighter of the fitted baseline, whose line through
-    long darks and flats need not meet the short ones."""
+    long darks and flats need not meet the short ones. Brighter: at the same mean, not under the same light,
+    of which findings such as unlike greens take or give a part."""
     channel = channel_index(prepared.fields[0].mean.shape)
     for n, iso in enumerate(np.asarray(bare.iso)):
         seconds, dark, freedom = _shortest_dark(prepared, float(iso), channel, _tail_shape(model))
         settings = Settings(float(iso), seconds)
         wanted = [_variance(bare, level, settings, channel) for level in (0.0, _BRIGHT)]
         wanted[0] = wanted[0] if dark is None else dark
+        wanted[1] = wanted[0] + (wanted[1] - wanted[0]) * _share_of_light(model, bare, settings, channel)
         gain, read = np.array(bare.gain_dn_per_e)[n], np.array(bare.read_noise_e)[n]
         shot0 = gain.copy()
         for _ in range(_ROUNDS):
@@ -68,6 +72,20 @@ def balanced(bare: SensorModel, model: SensorModel, prepared: Prepared) -> Senso
             read = read_dn / gain
         model = _with_noise(model, n, gain, read)
     return model
+
+
+def _share_of_light(
+    model: SensorModel, bare: SensorModel, settings: Settings, channel: np.ndarray
+) -> np.ndarray:
+    """Signal of each channel of the model over that of the bare one under the same light."""
+    signals = []
+    for one in (model, bare):
+        lit, dark = (
+            np.asarray(closed_moments(one, np.full(channel.shape, level, np.float32), settings)[0])
+            for level in (_BRIGHT, 0.0)
+        )
+        signals.append(np.array([np.median((lit - dark)[channel == c]) for c in range(4)]))
+    return np.clip(signals[0] / np.maximum(signals[1], 1e-9), 1 / _MOST_SHARE, _MOST_SHARE)
 
 
 def _tail_shape(model: SensorModel) -> float | None:
