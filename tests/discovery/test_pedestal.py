@@ -84,3 +84,27 @@ def test_it_is_kept_in_a_file_and_files_without_newer_parameters_are_read(tmp_pa
             entry["parameters"].pop(name, None)
     path.write_text(json.dumps(document))
     np.testing.assert_array_equal(drawn_levels(SensorModel.load(path), 0.1), drawn_levels(model, 0.1))
+
+
+def test_charge_in_the_unit_of_a_gain_that_is_not_known_better_is_no_level():
+    """Darks of a hundred codes of charge move by parts of a code with the gain of each site."""
+    rate, gain = 900.0, 1.5
+    capture = capture_set(
+        4,
+        lambda rng: (
+            lambda dn, signal, kind, t: dn + gain * rng.poisson(rate * t * (kind == "dark"), dn.shape)
+        ),
+        kinds="df",
+        size=SIZE,
+        gain=gain,
+    )
+    first = prepare_split(capture, split_recordings(capture))
+    bare, (baseline,) = baseline_model(capture, first), first.baselines
+    for times, moved in ((1.0, False), (8.0, True)):
+        away = 1 + times * np.array([1.0, -1.0, 1.0, -1.0]) * baseline.gain_stderr / gain
+        shortest = np.asarray(bare.black_level) - gain * away * rate * 0.01
+        model = dataclasses.replace(
+            bare, gain_dn_per_e=np.array([gain * away], np.float32), black_level=np.float32(shortest)
+        ).with_mechanism("dark_current", e_per_s=rate)
+        added = with_pedestals(model, first).mechanisms[1:]
+        assert bool(added) == moved, times

@@ -18,6 +18,7 @@ from cannoise_jax.discovery.frames.battery import Prepared
 from cannoise_jax.discovery.frames.contrasts import Stack, robust_mean
 from cannoise_jax.mechanisms.pedestal import LEVELS, PEDESTAL
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK
 
@@ -37,8 +38,13 @@ def with_pedestals(model: SensorModel, prepared: Prepared) -> SensorModel:
     if times.size < 2:
         return model
     iso = prepared.isos[darks[0].recording.iso]
-    off = np.stack([_off(model, s, iso) for s in darks])
-    chi2 = float(np.sum(frames[:, None] * (off / error) ** 2))
+    off, expected, left = np.stack([_off(model, s, iso) for s in darks], 1)
+    # Black is that of the shortest dark, and charge is known in DN as well as the gain of each site is.
+    first = int(np.argmin(seconds))
+    own = np.maximum(error**2 / frames[:, None], left)
+    baseline = next(b for b in prepared.baselines if b.iso == darks[0].recording.iso)
+    unsure = (expected - expected[first]) * baseline.gain_stderr / np.maximum(baseline.gain, 1e-9)
+    chi2 = float(np.sum(off**2 / (own + own[first] + unsure**2)))
     if stats.chi2.sf(chi2, off.size) > _CHANCE:
         return model
     for k, at in enumerate(times):
@@ -51,12 +57,16 @@ def with_pedestals(model: SensorModel, prepared: Prepared) -> SensorModel:
     return model
 
 
-def _off(model: SensorModel, stacked: Stack, iso: float) -> Float[np.ndarray, "4"]:
-    """Level of every site beyond what the model expects, DN."""
+def _off(model: SensorModel, stacked: Stack, iso: float) -> Float[np.ndarray, "3 4"]:
+    """Level of every site beyond what the model expects, that, DN, and the variance of their difference by
+    what single pixels differ by."""
     r = stacked.recording
     settings = Settings(iso, r.exposure_s or 0.0, r.temperature_c)
     expected = np.asarray(model.expected(jnp.zeros(r.size, jnp.float32), settings))
-    return np.array([robust_mean(stacked.mean[at]) - robust_mean(expected[at]) for at in SITES])
+    found, own = (np.array([robust_mean(frame[at]) for at in SITES]) for frame in (stacked.mean, expected))
+    apart = stacked.mean - expected
+    spread = [robust_std(apart[at]) ** 2 / apart[at].size for at in SITES]
+    return np.stack([found - own, own, spread])
 
 
 def _scatter(darks: list[Stack]) -> Float[np.ndarray, "4"] | None:
