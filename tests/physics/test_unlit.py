@@ -89,6 +89,21 @@ def test_a_dead_block_is_no_quiet_part_of_the_darks():
     assert own.dead is not None and np.array_equal(own.dead, dead)
 
 
+@pytest.mark.parametrize("charged", [True, False])
+def test_overscan_gathers_no_charge_and_masked_pixels_do(charged):
+    """What no header says is cut off: 28 columns of 128 took a fifth of the dark current away."""
+    light, dark = covered("columns")
+    darks = [
+        frame_statistics(recorded("dark", np.where(dark & ~charged, 0.0, 4.0) * t, t))
+        for t in (0.1, 5.0, 10.0)
+    ]
+    result = transfer_at([frame_statistics(recorded("flat", light)), *darks])
+    for rate in result.outcomes("dark current, by mean"):
+        assert isinstance(rate, Estimate) and rate.value == pytest.approx(4.0, rel=0.05)
+    found = [s.dead is not None for s in result.statistics if s.recording.kind == "dark"]
+    assert not any(found) if charged else all(found)
+
+
 @pytest.mark.parametrize(("loss", "said"), [(0.1, True), (0.0, False)])
 def test_flats_whose_signal_lags_behind_their_exposure_are_said(loss, said):
     flats = [

@@ -15,7 +15,7 @@ from cannoise_jax.physics.transfer.black import black_level
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.recordings.metadata import chunks
 from cannoise_jax.recordings.packing import site
-from cannoise_jax.recordings.recording import Recording
+from cannoise_jax.recordings.recording import DARK, Recording
 
 _DARK = 0.05
 """Share of the light of the brightest tenth below which a part counts as unlit: the corners of a lens with
@@ -24,6 +24,8 @@ _SIDE = 9
 """Pixels of the mosaic that are judged together, so that neither single dead pixels nor dust counts."""
 _CLEAR = 6.0
 """Standard errors of such a mean that the limit has to lie above black: dimmer flats tell nothing."""
+_SURE, _LESS = 6.0, 0.5
+"""Standard errors, and of the charge of the others, by which that of a part is less."""
 LEAST = 0.001
 """Share of a flat from which unlit parts are told."""
 UNLIT = "no light reaches a part of the flats: record flats that fill the frame, or cut that part off"
@@ -54,22 +56,36 @@ def unlit(s: FrameStatistics, black: Sequence[float]) -> Bool[np.ndarray, "H W"]
 
 def without_unlit(statistics: Sequence[FrameStatistics]) -> list[FrameStatistics]:
     """The statistics with unlit parts of flats among the pixels that are not used (`clipped`), and of darks
-    the parts there that never change."""
+    the parts there that never change, or gather no charge where the others do: overscan has none."""
     black = black_level(statistics).level
     masks = [unlit(s, black) for s in statistics]
     told = [m for m in masks if m.mean() >= LEAST]
     if not told:
         return list(statistics)
     always = np.logical_and.reduce(told)
+    no_charge = always & (always.any() and _gathers_none(statistics, always))
     out = []
     for s, mask in zip(statistics, masks, strict=True):
         if mask.mean() >= LEAST:
             s = replace(s, clipped=s.clipped | mask, unlit=mask)
         elif s.recording.kind != "flat" and s.variance is not None:
-            dead = always & _never_changes(s.recording)
+            dead = no_charge | (always & _never_changes(s.recording))
             s = replace(s, clipped=s.clipped | dead, dead=dead) if dead.any() else s
         out.append(s)
     return out
+
+
+def _gathers_none(statistics: Sequence[FrameStatistics], mask: Bool[np.ndarray, "H W"]) -> bool:
+    """Whether the dark charge of a part is not that of the rest, by the longest dark less the shortest."""
+    darks = [s for s in statistics if s.recording.kind in DARK and s.variance is not None]
+    known = [(0.0 if s.recording.kind == "bias" else s.recording.exposure_s, s) for s in darks]
+    timed = sorted(((t, n) for n, (t, _) in enumerate(known) if t is not None))
+    if len(timed) < 2 or timed[0][0] == timed[-1][0]:
+        return False
+    grown = known[timed[-1][1]][1].mean - known[timed[0][1]][1].mean
+    inside, outside = (float(np.median(grown[at])) for at in (mask, ~mask))
+    error = robust_std(grown) / np.sqrt(mask.sum())
+    return outside - inside > max(_SURE * error, _LESS * outside)
 
 
 def _never_changes(recording: Recording) -> Bool[np.ndarray, "H W"]:
