@@ -8,7 +8,7 @@ import pytest
 from cannoise_jax.physics.transfer.doubts import doubts
 from cannoise_jax.physics.transfer.faults import faults
 from cannoise_jax.physics.transfer.frames import frame_statistics
-from cannoise_jax.physics.transfer.photon_transfer import photon_transfer
+from cannoise_jax.physics.transfer.photon_transfer import channel_lines, photon_transfer
 from cannoise_jax.physics.transfer.regions import uneven_halves
 from cannoise_jax.physics.transfer.several_gains import several_gains
 from cannoise_jax.physics.transfer.smoothed import moving
@@ -77,6 +77,9 @@ def test_light_that_moves_under_the_flats_is_said_and_is_no_other_gain():
     assert any("the light moves" in line and "gain is not to be trusted" in line for line in doubts(transfer))
     others = [frame_statistics(r) for r in (dark(0.0), flat(2000.0))]
     assert not several_gains([*others, moved])
+    for last, said in ((moved, True), (still, False)):
+        told = faults([*others, last], channel_lines([*others, last]))
+        assert ("the light moves" in told.flats) == said and (told.flats in told.stated)
 
 
 @pytest.mark.parametrize("axis", [0, 1])

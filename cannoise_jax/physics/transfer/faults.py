@@ -17,6 +17,7 @@ from cannoise_jax.physics.transfer.quantities import SET_ASIDE, set_aside
 from cannoise_jax.physics.transfer.rails import STILL, contradicted_black, cut_off
 from cannoise_jax.physics.transfer.regions import uneven_halves, uneven_noise
 from cannoise_jax.physics.transfer.several_gains import several_gains
+from cannoise_jax.physics.transfer.smoothed import flats_moving
 from cannoise_jax.physics.transfer.stated import codes_line, colours_line, exposures_lines, levels_line
 from cannoise_jax.physics.transfer.unlike_biases import unlike_biases
 from cannoise_jax.physics.transfer.unlit import unlit_line, without_unlit
@@ -41,7 +42,7 @@ class Faults(NamedTuple):
     colours: the greens of the stated order are none. lights, charge: flats, or darks, contradict their
     exposures. codes: those of flats and darks have not one scale. biases: they are no repeats of the darks.
     above: hardly a pixel of the darks stays below the white level. levels: frames of a
-    dark lie at two.
+    dark lie at two. flats: their light moves.
     """
 
     cut_off: str = ""
@@ -61,11 +62,21 @@ class Faults(NamedTuple):
     biases: str = ""
     above: str = ""
     levels: str = ""
+    flats: str = ""
 
     @property
     def stated(self) -> tuple[str, ...]:
         """What is stated of the recordings, or looks as if all were of one camera, and is contradicted."""
-        return self.black, self.colours, self.lights, self.charge, self.codes, self.biases, self.levels
+        return (
+            self.black,
+            self.colours,
+            self.lights,
+            self.charge,
+            self.codes,
+            self.biases,
+            self.levels,
+            self.flats,
+        )
 
 
 def faults(statistics: Sequence[FrameStatistics], lines: Sequence[Line | NotMeasurable] = ()) -> Faults:
@@ -82,7 +93,7 @@ def faults(statistics: Sequence[FrameStatistics], lines: Sequence[Line | NotMeas
         unlit_line(parted), _longer(statistics), _uneven(parted), defects_line(parted),
         shadows_line(parted), colours_line(parted), *exposures_lines(parted),
         codes_line(parted), unlike_biases(parted, slope) if (slope := _mean_slope(drawn)) else "",
-        _above_white(statistics), levels_line(statistics),
+        _above_white(statistics), levels_line(statistics), flats_moving(parted) if drawn else "",
     )  # fmt: skip
 
 

@@ -38,9 +38,15 @@ def smoothed(statistics: Sequence[FrameStatistics]) -> str:
 
 def flats_alike(statistics: Sequence[FrameStatistics]) -> str:
     """The same of flats, whose light may move as well: then pixels further apart are alike too."""
-    alike = _alike(brightest_flat(statistics), _FLAT)
-    for s in statistics:
-        alike = alike or moving(s)
+    return _said(_alike(brightest_flat(statistics), _FLAT)) or flats_moving(statistics)
+
+
+def flats_moving(statistics: Sequence[FrameStatistics]) -> str:
+    """Which the light moves under, by pixels further apart; empty for none."""
+    return _said(next(filter(None, map(moving, statistics)), ""))
+
+
+def _said(alike: str) -> str:
     return alike and (
         f"{alike}, as where the light moves between them or frames are smoothed: the gain is not to be "
         "trusted, record raw frames of a steady light"
