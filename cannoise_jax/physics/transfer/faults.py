@@ -34,15 +34,14 @@ class Faults(NamedTuple):
     """Where recordings of one ISO setting bear no measurement, or contradict what is stated of them: a line
     each, empty where they do not.
 
-    cut_off: darks show neither read noise nor black level. unlike: flats and darks are of two gains. moves:
-    scenes tell no gain. doubted: flats tell one that may be wrong. black: the stated black level is none of
-    the darks'. unlit: no light reaches a part of a flat. longer: the read noise is that of long darks.
-    uneven: it, or the gain, differs between parts of the frame. defects: pixels that show nothing. shadows:
-    of dust.
-    colours: the greens of the stated order are none. lights, charge: flats, or darks, contradict their
-    exposures. codes: those of flats and darks have not one scale. biases: they are no repeats of the darks.
-    above: hardly a pixel of the darks stays below the white level. levels: frames of a
-    dark lie at two. flats: their light moves.
+    cut_off: darks show neither read noise nor black level. above: hardly a pixel of theirs stays below the
+    white level. unlike: flats and darks are of two gains. moves: scenes tell no gain. doubted: flats tell one
+    that may be wrong. black: the stated black level is none of the darks'. colours: the greens of the stated
+    order are none. lights, charge: flats, or darks, contradict their exposures. codes: those of flats and
+    darks have not one scale. biases: they are no repeats of the darks. levels: frames of a dark lie at two.
+    flats: their light moves. unlit: no light reaches a part of a flat. longer: the read noise is that of long
+    darks. uneven: it, or the gain, differs between parts of the frame. defects: pixels that show nothing.
+    shadows: of dust.
     """
 
     cut_off: str = ""
@@ -68,32 +67,29 @@ class Faults(NamedTuple):
     def stated(self) -> tuple[str, ...]:
         """What is stated of the recordings, or looks as if all were of one camera, and is contradicted."""
         return (
-            self.black,
-            self.colours,
-            self.lights,
-            self.charge,
-            self.codes,
-            self.biases,
-            self.levels,
+            self.black, self.colours, self.lights, self.charge, self.codes, self.biases, self.levels,
             self.flats,
-        )
+        )  # fmt: skip
 
 
 def faults(statistics: Sequence[FrameStatistics], lines: Sequence[Line | NotMeasurable] = ()) -> Faults:
     """The faults of the recordings of one ISO setting. lines: of photon transfer, by channel; without them,
-    as where a table states them, nothing is said of the gain."""
+    as where a table states them, nothing is said of the gain and of what it tells."""
     reasons = (line.record for line in lines if isinstance(line, NotMeasurable))
     moves = next((reason for reason in reasons if reason.endswith(STILL)), "")
     drawn = [line for line in lines if isinstance(line, Line)]
     worst = max(drawn, key=lambda line: line.dropped, default=None)
     doubted = set_aside(worst) if worst is not None and worst.dropped > SET_ASIDE else ""
     parted = without_unlit(statistics)
+    lights, charge = exposures_lines(parted)
+    slope = sum(line.slope.value for line in drawn) / len(drawn) if drawn else 0.0
     return Faults(
-        cut_off(statistics), several_gains(statistics), moves, doubted, contradicted_black(statistics),
-        unlit_line(parted), _longer(statistics), _uneven(parted), defects_line(parted),
-        shadows_line(parted), colours_line(parted), *exposures_lines(parted),
-        codes_line(parted), unlike_biases(parted, slope) if (slope := _mean_slope(drawn)) else "",
-        _above_white(statistics), levels_line(statistics), flats_moving(parted) if drawn else "",
+        cut_off=cut_off(statistics), above=_above_white(statistics), unlike=several_gains(statistics),
+        moves=moves, doubted=doubted, black=contradicted_black(statistics), colours=colours_line(parted),
+        lights=lights, charge=charge, codes=codes_line(parted),
+        biases=unlike_biases(parted, slope) if drawn else "", levels=levels_line(statistics),
+        flats=flats_moving(parted) if drawn else "", unlit=unlit_line(parted), longer=_longer(statistics),
+        uneven=_uneven(parted), defects=defects_line(parted), shadows=shadows_line(parted),
     )  # fmt: skip
 
 
@@ -106,11 +102,6 @@ def _above_white(statistics: Sequence[FrameStatistics]) -> str:
         f"{dark.recording.path or dark.recording.camera}: most pixels of the darks reach the white level "
         f"({white:g} DN) in some frame, so that they tell no noise: state the right one (--white-level)"
     )
-
-
-def _mean_slope(drawn: Sequence[Line]) -> float:
-    """Gain over the channels, DN/e-; 0 for none."""
-    return sum(line.slope.value for line in drawn) / len(drawn) if drawn else 0.0
 
 
 def _uneven(statistics: Sequence[FrameStatistics]) -> str:
