@@ -6,16 +6,20 @@ import math
 from types import SimpleNamespace
 from unittest.mock import MagicMock
 
+import numpy as np
 import pytest
 
 from cannoise_jax.discovery.compare.words import digits, ends
 from cannoise_jax.discovery.proof.prove import Proof
 from cannoise_jax.discovery.report.page import number, place, sites, verdict
+from cannoise_jax.discovery.report.pictures import where_pictures
 from cannoise_jax.discovery.report.wording import sentence
 from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.signatures.codes import combed
 from cannoise_jax.signatures.signature import Axes
+from tests.discovery.looks import white
 
+RNG = np.random.default_rng(8)
 ROWS = Axes("readout", "row", "redrawn", "additive", "white")
 
 
@@ -165,3 +169,13 @@ def test_the_ends_of_an_interval_do_not_print_alike():
     proof = Proof(None, 66582.7, 6e4, 7e4, 10**6)
     assert "(90 %: 2.0096 to 2.0104 DN)" in said_of(finding("row_noise", 2.01, 0.0004), proof)
     assert "90 %" not in said_of(finding("row_noise", 2.01, 1e-15), proof)
+
+
+def test_a_finding_that_takes_nothing_out_is_shown_where_it_acts():
+    fields = white(RNG)
+    for of_light, what in ((True, "lit"), (False, "darks")):
+        pictures = where_pictures(fields, fields, "channel", False, of_light)
+        assert pictures[0].alt == f"what stays ({what})"
+    # What is in the means of frames of several exposures, and what moves them.
+    assert where_pictures(fields, fields, "frame", False)[1].alt.startswith("level of the darks above")
+    assert where_pictures(fields, fields, "frame", True)[1].alt.startswith("offsets between whole frames")

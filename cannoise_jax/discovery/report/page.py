@@ -228,7 +228,8 @@ def page(diagnosis: Result, report: dict[str, Any]) -> str:
         after = steps[n + 1].before if n + 1 < len(steps) else diagnosis.fitted.fields
         axis = steps[n].named.score.where["axis"]
         redrawn = steps[n].named.signature.axes.time in ("redrawn", "modulated")
-        pictures.append(where_pictures(steps[n].before, after, axis, redrawn))
+        of_light = steps[n].named.signature.axes.scales == "signal"
+        pictures.append(where_pictures(steps[n].before, after, axis, redrawn, of_light))
     size = partial(strength, diagnosis.terms)
     template = resources.files("cannoise_jax.discovery").joinpath("page.html.jinja").read_text("utf-8")
     return jinja2.Template(template, autoescape=True).render(

@@ -21,6 +21,8 @@ from cannoise_jax.signatures.line_sums import line_sums
 
 _INCHES = (3.9, 2.8)
 """Width and height of a picture."""
+_FAR = 15.0
+"""Standard errors beyond which a logarithmic scale shows more."""
 _BEFORE, _AFTER, _REAL = "#c8553d", "#2f6fd0", "#1c2430"
 
 
@@ -45,9 +47,12 @@ def _picture(draw: Callable[..., None], *more: Any) -> Picture:
     return Picture(base64.b64encode(buffer.getvalue()).decode(), alt)
 
 
-def _maps(before: tuple[Fields, ...], after: tuple[Fields, ...], redrawn: bool) -> tuple[list, str]:
+def _maps(
+    before: tuple[Fields, ...], after: tuple[Fields, ...], redrawn: bool, of_light: bool
+) -> tuple[list, str]:
     """What the finding changes most, without and with it, `[H, W]` in standard errors, and what that is: one
-    difference between two frames, or the frozen residual of the darks or of what is lit."""
+    difference between two frames, or the frozen residual of the darks or of what is lit. of_light: whether it
+    is of the light, where it changes neither."""
     if redrawn:
         pairs = [(f, g, n) for f, g in _same(before, after) for n in range(min(len(f.contrasts), 4))]
         if pairs:
@@ -64,7 +69,7 @@ def _maps(before: tuple[Fields, ...], after: tuple[Fields, ...], redrawn: bool) 
         return [np.zeros(before[0].mean.shape)] * 2, "nothing to show"
     groups = [[pair for lit, pair in still if lit == group] for group in (False, True)]
     moved = [float(np.mean([np.mean((f - g) ** 2) for f, g in group])) if group else -1.0 for group in groups]
-    chosen = int(np.argmax(moved))
+    chosen = int(np.argmax(moved)) if max(moved) > 0 else int(bool(groups[1]) and (of_light or not groups[0]))
     alike = [p for p in groups[chosen] if p.shape == groups[chosen][0].shape]
     return list(np.mean(alike, axis=0) * np.sqrt(len(alike))), f"what stays ({('darks', 'lit')[chosen]})"
 
@@ -82,23 +87,27 @@ def _blocks(mean: np.ndarray) -> np.ndarray:
 
 
 def where_pictures(
-    before: tuple[Fields, ...], after: tuple[Fields, ...], axis: str, redrawn: bool
+    before: tuple[Fields, ...], after: tuple[Fields, ...], axis: str, redrawn: bool, of_light: bool = False
 ) -> list[Picture]:
     """Where: what the finding takes out of the frozen map, or of the difference of two frames for what is
-    redrawn in each, and what its axis shows (power of lines, spectrum, offsets of frames, distribution of
-    pixels), without and with the finding in the model."""
-    whole, what = _maps(before, after, redrawn)
+    redrawn in each, and what its axis shows (power of lines, spectrum, offsets or levels of frames,
+    distribution of pixels), without and with the finding in the model, or once where both are the same."""
+    whole, what = _maps(before, after, redrawn, of_light)
     taken = _blocks(whole[0] - whole[1])
     moved = bool(np.abs(taken).max() > 1e-3)
     image = taken if moved else _blocks(whole[0])
     made = [_picture(_map, image, f"{what}:\nwhat the finding takes out" if moved else what)]
-    sides = ((before, whole[0], "without", _BEFORE), (after, whole[1], "with", _AFTER))
+    sides = [(before, whole[0], "without", _BEFORE), (after, whole[1], "with", _AFTER)]
     if axis in ("row", "column") and redrawn:
         return [*made, _picture(_lines, sides, axis)]
-    if axis in ("row", "column", "frequency"):
-        return [*made, _picture(_spectra, sides, "column" if axis == "column" else "row")]
+    if axis == "frame" and not redrawn and len({f.exposure_s for f in before if not f.lit} - {None}) > 1:
+        return [*made, _picture(_levels, before)]
     if axis == "frame":
         return [*made, _picture(_frames, sides)]
+    if not moved:
+        sides = [(before, whole[0], "recordings", _REAL)]
+    if axis in ("row", "column", "frequency"):
+        return [*made, _picture(_spectra, sides, "column" if axis == "column" else "row")]
     return [*made, _picture(_distributions, sides, what)]
 
 
@@ -146,14 +155,27 @@ def _spectra(panel, sides, line: str) -> None:
 
 
 def _frames(panel, sides) -> None:
+    furthest = 0.0
     for fields, _, label, colour in sides:
         offsets = [x.sum() / np.sqrt(f.usable.sum()) for f in fields for x in f.contrasts]
         panel.plot(offsets, ".", ms=4, label=label, color=colour)
+        furthest = max(furthest, *np.abs(offsets)) if offsets else furthest
     panel.axhline(0, color="0.5", lw=0.7)
-    panel.set_yscale("symlog", linthresh=3)
-    panel.set_title("offsets between whole frames, standard errors", fontsize=9)
+    if furthest > _FAR:
+        panel.set_yscale("symlog", linthresh=3)
+    panel.set_title("offsets between whole frames,\nstandard errors", fontsize=9)
     panel.set_xlabel("differences of frames, all recordings", fontsize=8)
     _legend(panel)
+
+
+def _levels(panel, fields: tuple[Fields, ...]) -> None:
+    darks = [f for f in fields if not f.lit and f.exposure_s is not None and f.usable.any()]
+    seconds = np.array([f.exposure_s for f in darks], float)
+    levels = np.array([np.mean(f.mean[f.usable]) for f in darks])
+    panel.plot(seconds, levels - levels[np.argmin(seconds)], "o", ms=5, color=_REAL)
+    panel.axhline(0, color="0.5", lw=0.7)
+    panel.set_title("level of the darks above the shortest, DN", fontsize=9)
+    panel.set_xlabel("exposure, s", fontsize=8)
 
 
 def _distributions(panel, sides, what: str) -> None:
