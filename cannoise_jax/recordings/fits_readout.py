@@ -83,9 +83,11 @@ def _said(value: Any) -> str:
 def binning_of(header: Mapping[str, Any]) -> tuple[float, float] | None:
     """Columns and rows that were read as one; None where it is one of each, or nothing is stated."""
     for names in _ALONG:
-        along = tuple(number_in(header, (name,), 1) or 1.0 for name in names)
-        if along != (1, 1):
-            return along[0], along[1]
+        along = [number_in(header, (name,), 1) for name in names]
+        # Of one alone: sensors are binned alike along both.
+        across, down = along[0] or along[1] or 1.0, along[1] or along[0] or 1.0
+        if (across, down) != (1, 1):
+            return across, down
     for name in ("CCDSUM", "BINNING"):
         found = _BOTH.fullmatch(text_in(header, name))
         if found and (both := (float(found[1]), float(found[2] or found[1]))) != (1, 1):

@@ -117,15 +117,15 @@ def recording_paths(folder: str | Path) -> list[Path]:
     """The recordings of a folder, by suffix, sorted by name. Raises BadInput when there is none."""
     folder = _named(folder, "a folder")
     if not folder.is_dir():
-        raise BadInput(f"{folder}: no such folder")
+        raise BadInput(f"{folder}: {'is a file: name its folder' if folder.is_file() else 'no such folder'}")
     broken = sorted(p for p in folder.iterdir() if is_supported(p) and not p.exists())
     if broken:
         raise BadInput(f"{broken[0]}: a link to nothing: mend or remove it")
     paths = sorted(p for p in folder.iterdir() if _is_recording(p))
     if not paths:
-        raise BadInput(
-            f"{folder}: holds no recordings (bin/convert sorts folders): supported are {supported()}"
-        )
+        below = " itself, only folders: make one set of them with bin/convert"
+        said = below if any(p.is_dir() for p in folder.iterdir()) else f": supported are {supported()}"
+        raise BadInput(f"{folder}: holds no recordings{said}")
     return paths
 
 

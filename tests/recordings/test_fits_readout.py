@@ -39,6 +39,9 @@ def test_a_count_that_may_be_of_a_series_is_said():
         ({"HBIN": 1, "VBIN": 4}, (1, 4)),
         ({"XBINNING": 1, "YBINNING": 1, "CCDSUM": "2 2"}, (2, 2)),
         ({"BINNING": "fast"}, None),
+        ({"XBINNING": 2}, (2, 2)),
+        ({"YBINNING": 3}, (3, 3)),
+        ({"XBINNING": 2, "YBINNING": 1}, (2, 1)),
     ],
 )
 def test_binning_as_programs_write_it(header, binning):

@@ -316,7 +316,12 @@ def test_folders_that_hold_no_capture_set(tmp_path, path):
         load_capture_set(tmp_path)
     with pytest.raises(BadInput, match="no such folder"):
         load_capture_set(tmp_path / "none")
+    (tmp_path / "night" / "darks").mkdir(parents=True)
+    with pytest.raises(BadInput, match="only folders: make one set of them with bin/convert"):
+        load_capture_set(tmp_path / "night")
     write(path)
+    with pytest.raises(BadInput, match="is a file: name its folder"):
+        load_capture_set(path)
     write(path.with_name("b.h5"), camera="another")
     with pytest.raises(BadInput, match="2 cameras .Nikon Z6: a.h5; another: b.h5.: one folder a camera"):
         load_capture_set(path.parent)
