@@ -45,11 +45,11 @@ def test_nothing_is_found_where_nothing_is():
     "mechanism, alter, amplitude",
     [
         ("row_noise", row_offsets(1.2), 1.2),
-        ("column_fpn", column_pattern(1.0), 1.0),
+        pytest.param("column_fpn", column_pattern(1.0), 1.0, marks=pytest.mark.slow),
         ("prnu", response_map(0.006), 0.006),
-        ("dsnu", offset_map(2.5), 2.5),
-        ("offset_drift", frame_offsets(0.8), 0.8),
-        ("banding", wave(1.2), 1.2),
+        pytest.param("dsnu", offset_map(2.5), 2.5, marks=pytest.mark.slow),
+        pytest.param("offset_drift", frame_offsets(0.8), 0.8, marks=pytest.mark.slow),
+        pytest.param("banding", wave(1.2), 1.2, marks=pytest.mark.slow),
     ],
 )
 def test_a_single_effect_is_named_and_measured(mechanism, alter, amplitude):

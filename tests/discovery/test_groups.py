@@ -92,8 +92,10 @@ DRAWS = {
 }
 
 
-@pytest.mark.parametrize("sigma", [2.0, 45.0])
-@pytest.mark.parametrize("name", ["row_additive_temporal", "row_slope", "tile_16_redrawn"])
+@pytest.mark.parametrize("sigma", [pytest.param(2.0, marks=pytest.mark.slow), 45.0])
+@pytest.mark.parametrize(
+    "name", ["row_additive_temporal", pytest.param("row_slope", marks=pytest.mark.slow), "tile_16_redrawn"]
+)
 def test_what_is_left_of_strong_offsets_is_white(name, sigma):
     """The modelled noise holds strong offsets too: once out, no line or tile stands above its pixels."""
     capture = capture_set(57, redrawn_by(DRAWS[name], sigma), kinds="df")

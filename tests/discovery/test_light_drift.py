@@ -45,7 +45,7 @@ def names(fitted):
     return {s.named.signature.name for s in fitted.steps}
 
 
-@pytest.mark.parametrize("flats", [1, 3])
+@pytest.mark.parametrize("flats", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_drift_of_brightness_is_named_and_none_of_the_offset(flats):
     _, _, fitted = looked_at(lamp(0.01, 0.0), flats)
     assert [s.named.mechanism for s in fitted.steps] == ["illumination_drift"]

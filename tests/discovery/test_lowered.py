@@ -50,7 +50,7 @@ def own_sensor(model):
     ("given", "there"),
     [
         (own_sensor, 1.2),
-        (function_of, 0.0),
+        pytest.param(function_of, 0.0, marks=pytest.mark.slow),
         pytest.param(own_sensor, 0.0, marks=pytest.mark.slow),
         pytest.param(function_of, 1.2, marks=pytest.mark.slow),
     ],

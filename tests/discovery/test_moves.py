@@ -96,6 +96,7 @@ def two_levels_enough(alter, fraction=0.01):
     return more_levels(drawn(alter, "rts", jump_dn=JUMP, fraction=fraction, rate=0.5)[0])
 
 
+@pytest.mark.slow
 def test_how_many_pixels_jump_says_nothing_of_their_levels():
     """Twice as many in the simulator, or half: pixels of two levels stay such."""
     for fraction in (0.005, 0.02):
@@ -241,7 +242,7 @@ def test_what_a_redrawn_wave_leaves_in_a_mean_of_few_frames_is_no_fixed_pattern(
         assert np.abs(j.z).max() < j.passing
 
 
-@pytest.mark.parametrize("lines", ["white", "a wave"])
+@pytest.mark.parametrize("lines", ["white", pytest.param("a wave", marks=pytest.mark.slow)])
 def test_what_maps_share_by_chance_scatters_as_stated(lines):
     rng, at = np.random.default_rng(7), np.arange(128)
 

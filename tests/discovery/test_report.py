@@ -189,7 +189,15 @@ def test_page_says_it_all_and_loads_nothing(found, report):
     assert not re.search(r"\b(None|nan|inf)\b", shown)
 
 
-@pytest.mark.parametrize("kinds, frames", [("d", 1), ("s", 1), ("f", 2), ("d", 2)])
+@pytest.mark.parametrize(
+    "kinds, frames",
+    [
+        ("d", 1),
+        ("s", 1),
+        pytest.param("f", 2, marks=pytest.mark.slow),
+        pytest.param("d", 2, marks=pytest.mark.slow),
+    ],
+)
 def test_parts_of_a_set_give_reports_without_what_they_cannot_say(kinds, frames):
     found = diagnose(capture_set(22, both, kinds=kinds, frames=frames))
     report = json.loads(json.dumps(document(found, key=0, version="0"), allow_nan=False))
@@ -200,6 +208,7 @@ def test_parts_of_a_set_give_reports_without_what_they_cannot_say(kinds, frames)
             assert "not confirmed" in f["sentence"] and f["log_e_value"] is None
 
 
+@pytest.mark.slow
 def test_what_may_not_be_named_is_listed_nowhere():
     hidden = ("row_noise", "row_pink_noise")
     found = diagnose(capture_set(23, both), without=hidden, compare=False)

@@ -51,7 +51,10 @@ def test_sums_of_groups_add_scores_and_information():
     np.testing.assert_allclose(of.information, [1 + 2, 3 + 4 + 5, 6 + 7])
 
 
-@pytest.mark.parametrize("rows,phase", [(2, 0), (2, 1), (3, 1), (4, 3)])
+@pytest.mark.parametrize(
+    "rows,phase",
+    [pytest.param(2, 0, marks=pytest.mark.slow), (2, 1), (3, 1), pytest.param(4, 3, marks=pytest.mark.slow)],
+)
 def test_rows_read_together_are_found_and_simulated_so(rows, phase):
     capture, first, fitted = looked_at(
         lambda rng: lambda dn, signal, kind, t: dn + 1.2 * in_groups(rng, rows, phase, dn.shape)
