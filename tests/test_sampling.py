@@ -100,7 +100,9 @@ def test_jit_vmap_and_grad(model):
     assert bool(jnp.all(jnp.isfinite(slope))) and float(jnp.max(jnp.abs(slope))) > 0
 
 
-@pytest.mark.parametrize("size", [pytest.param((3, 40), marks=pytest.mark.slow), (1, 1)])
+@pytest.mark.parametrize(
+    "size", [pytest.param((3, 40), marks=pytest.mark.slow), pytest.param((1, 1), marks=pytest.mark.slow)]
+)
 def test_a_reference_of_any_size(model, size):
     small = noisy(jax.random.key(2))[: size[0], : size[1]]
     noise = sample(model, jax.random.key(1), scene(16, 16), small)

@@ -145,7 +145,7 @@ def test_a_refusal_that_nobody_hears_has_its_status(closed, tmp_path):
         ">/dev/full",
         pytest.param(">&-", marks=pytest.mark.slow),
         pytest.param("2>/dev/full", marks=pytest.mark.slow),
-        "2>&-",
+        pytest.param("2>&-", marks=pytest.mark.slow),
     ],
 )
 def test_a_command_ends_its_work_where_what_it_prints_cannot_be_kept(closed, tmp_path):

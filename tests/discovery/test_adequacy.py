@@ -221,7 +221,14 @@ def response(pattern):
 
 
 @pytest.mark.parametrize(
-    "texture", ["white", "blurred", "fringes", "rings and white", "white and some fringes"]
+    "texture",
+    [
+        "white",
+        pytest.param("blurred", marks=pytest.mark.slow),
+        "fringes",
+        pytest.param("rings and white", marks=pytest.mark.slow),
+        pytest.param("white and some fringes", marks=pytest.mark.slow),
+    ],
 )
 def test_a_gain_map_of_fringes_is_no_map_of_single_pixels(texture):
     rng = np.random.default_rng(2)

@@ -55,7 +55,7 @@ def test_the_baseline_of_a_camera(read, black, step):
     [
         pytest.param("asi178", marks=pytest.mark.slow),
         pytest.param("asi120", marks=pytest.mark.slow),
-        "imx541",
+        pytest.param("imx541", marks=pytest.mark.slow),
         "stl1001",
         "scmos_live",
     ],

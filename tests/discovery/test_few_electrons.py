@@ -11,7 +11,7 @@ from cannoise_jax.signatures import known_shape, shape
 from tests.discovery.capture import capture_set
 from tests.discovery.looks import white
 
-QUIET = {"gain": 6.0, "read": 0.28, "size": (128, 192)}
+QUIET = {"gain": 6.0, "read": 0.28, "size": (96, 128)}
 """Gain, DN per electron, and read noise, electrons."""
 
 

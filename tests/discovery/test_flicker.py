@@ -86,6 +86,7 @@ def test_steady_light_leaves_the_curve_as_it_is():
     np.testing.assert_allclose(first.baselines[0].gain, 1.5, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_drift_of_the_light_is_not_taken_for_the_level_of_a_weak_sinusoid():
     """A period and a half to the frame: its phases reach the level of a frame, by far less than the drift."""
 
@@ -141,6 +142,7 @@ def test_each_colours_own_wave_is_in_the_model():
     assert float(said["frequency"]) == pytest.approx(1 / PERIOD, abs=2e-5)
 
 
+@pytest.mark.slow
 def test_light_that_moves_is_not_taken_for_offsets_of_frames():
     """One flat, whose light moves by fifty times the offsets of darks: each by its own amount."""
 

@@ -95,6 +95,7 @@ def test_units_there_and_back_are_the_same():
         assert np.array_equal(back.contrasts, f.contrasts) and native(f).step == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_frames_held_back_are_in_the_units_of_those_that_look():
     splits = splits_of(camera(2))
     units = {f.number: f.unit for f in splits.looking.fields}

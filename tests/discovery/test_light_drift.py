@@ -31,12 +31,17 @@ def lamp(common, colour):
     return alter
 
 
-def looked_at(alter, flats=1):
-    """What is found in darks and flats of so many levels."""
+def prepared(alter, flats=1):
+    """Darks and flats of so many levels, and the frames of them that look."""
     whole = capture_set(4, alter, kinds="df", size=SIZE, frames=16)
     lit = [r for r in whole.recordings if r.kind == "flat"][-flats:]
     capture = CaptureSet(whole.camera, (*(r for r in whole.recordings if r.kind == "dark"), *lit))
-    first = prepare_split(capture, split_recordings(capture))
+    return capture, prepare_split(capture, split_recordings(capture))
+
+
+def looked_at(alter, flats=1):
+    """What is found in them."""
+    capture, first = prepared(alter, flats)
     fitted = stepwise(first.fields, first.signatures, frozenset(e.id for e in registered()), np.log(0.01))
     return capture, first, fitted
 
@@ -90,5 +95,5 @@ def sky(rng):
 
 
 def test_light_that_leans_leaves_the_gain():
-    plain, leaning = (first.baselines[0].gain for _, first, _ in (looked_at(lamp(0.0, 0.0)), looked_at(sky)))
+    plain, leaning = (prepared(alter)[1].baselines[0].gain for alter in (lamp(0.0, 0.0), sky))
     assert np.mean(leaning) == pytest.approx(np.mean(plain), rel=0.025)

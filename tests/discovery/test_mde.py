@@ -30,17 +30,7 @@ from tests.discovery.naive_limits import (
     shifts,
 )  # fmt: skip
 
-FIRST = (
-    "row_noise",
-    "dsnu",
-    "prnu",
-    "banding",
-    "channel_offset",
-    "green_imbalance",
-    "crosstalk",
-    "heavy_tails",
-    "pixel_read_noise_map",
-)
+FIRST = ("row_noise", "dsnu", "heavy_tails")
 REST = tuple(m for m in CASES if m not in FIRST)
 
 

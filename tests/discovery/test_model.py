@@ -163,6 +163,7 @@ def test_without_findings_it_is_the_baseline():
     np.testing.assert_allclose(bare.gain_dn_per_e, 1.5, rtol=0.05)
 
 
+@pytest.mark.slow
 def test_the_written_model_is_no_mismatch_to_its_own_recordings(tmp_path):
     capture = capture_set(55, row_offsets(2.0), kinds="df")
     run = diagnose(capture, compare=False)

@@ -51,7 +51,7 @@ def both(rng):
 
 @pytest.fixture(scope="module")
 def found():
-    return diagnose(capture_set(21, both), key=jax.random.key(1))
+    return diagnose(capture_set(21, both, size=(64, 128)), key=jax.random.key(1))
 
 
 @pytest.fixture(scope="module")
@@ -269,7 +269,7 @@ def test_memory_does_not_grow_with_the_number_of_frames():
 def test_command_writes_report_page_and_model(tmp_path, capsys):
     folder = tmp_path / "recordings"
     folder.mkdir()
-    for n, r in enumerate(capture_set(25, both, kinds="d").recordings):
+    for n, r in enumerate(capture_set(25, both, kinds="d", size=(64, 128)).recordings):
         write_recording(folder / f"{n}.h5", r)
     out = tmp_path / "out"
     assert command.main(["--recordings", str(folder), "--out", str(out), "--key", "3"]) == 0
