@@ -45,7 +45,14 @@ def test_at_its_zero_start_the_noise_is_the_initial_noise(model):
     assert abs(float(jnp.mean(noise))) < 5 * (expected / n) ** 0.5
 
 
-@pytest.mark.parametrize("size", [(16, 16), (17, 31), pytest.param((100, 34), marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "size",
+    [
+        pytest.param((16, 16), marks=pytest.mark.slow),
+        (17, 31),
+        pytest.param((100, 34), marks=pytest.mark.slow),
+    ],
+)
 def test_any_size_leading_axes_and_type(model, size):
     clean = scene(*size)
     reference = noisy(jax.random.key(2))[:32, :32] if size == (16, 16) else noisy(jax.random.key(2), 17, 23)
@@ -93,7 +100,9 @@ def test_jit_vmap_and_grad(model):
     assert bool(jnp.all(jnp.isfinite(slope))) and float(jnp.max(jnp.abs(slope))) > 0
 
 
-@pytest.mark.parametrize("size", [pytest.param((3, 40), marks=pytest.mark.slow), (1, 1)])
+@pytest.mark.parametrize(
+    "size", [pytest.param((3, 40), marks=pytest.mark.slow), pytest.param((1, 1), marks=pytest.mark.slow)]
+)
 def test_a_reference_of_any_size(model, size):
     small = noisy(jax.random.key(2))[: size[0], : size[1]]
     noise = sample(model, jax.random.key(1), scene(16, 16), small)

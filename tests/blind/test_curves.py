@@ -26,12 +26,13 @@ def test_p_values_on_a_coarse_grid_are_not_held_against_it():
 def test_intervals_of_the_half_power_point_cover_it():
     rng = np.random.default_rng(2)
     covered = []
-    for _ in range(120):
+    for _ in range(30):
         multiples = np.exp(rng.uniform(np.log(0.3), np.log(10), 80))
         seen = rng.random(80) < chance(multiples, 1.3, 4.0)
         low, high = half_power(list(multiples), list(seen))["ci95"]
         covered.append(low <= 1.3 <= high)
-    assert 0.89 <= np.mean(covered) <= 1
+    # Of 95 % intervals 24 or fewer of 30 hold it once in 300 times.
+    assert sum(covered) >= 25
     assert half_power([1.0] * 9, [True] * 9)["half_at"] is None
 
 

@@ -48,7 +48,12 @@ def groups_statistic(plan: Design, frames: list[np.ndarray], group: str) -> floa
 
 @pytest.mark.parametrize(
     ("mechanism", "group"),
-    [("row_noise", "row"), ("offset_drift", "frame"), ("dsnu", "pixel"), ("prnu", "prnu")],
+    [
+        ("row_noise", "row"),
+        pytest.param("offset_drift", "frame", marks=pytest.mark.slow),
+        pytest.param("dsnu", "pixel", marks=pytest.mark.slow),
+        ("prnu", "prnu"),
+    ],
 )
 def test_the_minimum_detectable_effect_shifts_its_own_score_by_five(mechanism, group):
     plan = design()

@@ -35,7 +35,7 @@ def test_help_does_not_wait_for_jax(name):
     assert done.stderr == "False\n", done.stderr
 
 
-@pytest.mark.parametrize("stream", ["stdout", "stderr"])
+@pytest.mark.parametrize("stream", ["stdout", pytest.param("stderr", marks=pytest.mark.slow)])
 def test_the_work_goes_on_without_a_traceback_when_the_reader_of_a_pipe_leaves(stream, tmp_path):
     made = tmp_path / "made"
     script = (

@@ -123,7 +123,18 @@ def test_what_has_its_report_is_passed_over_and_what_failed_is_tried_again(sets,
     assert rows(here) == before[:2]
 
 
-def test_a_cluster_gives_the_same_table(sets, here, tmp_path):
+@pytest.mark.parametrize("diagnosed", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_a_cluster_gives_the_same_table(sets, here, tmp_path, monkeypatch, diagnosed):
+    """By default its workers take the reports that there are; else they diagnose once more."""
+
+    def taken(recordings, out, flags, folder):
+        report = here / Path(recordings).name
+        if not (report / "report.json").is_file():
+            return "nothing to take"
+        shutil.copytree(report, out)
+
+    if not diagnosed:
+        monkeypatch.setattr(fleet, "diagnose_set", taken)
     distributed = pytest.importorskip("distributed", reason="needs cannoise-jax[fleet]")
     listed = tmp_path / "list.txt"
     listed.write_text(f"{sets / 'rows'}\n{sets / 'void'}\n")

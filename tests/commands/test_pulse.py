@@ -139,7 +139,15 @@ def test_a_refusal_that_nobody_hears_has_its_status(closed, tmp_path):
     assert subprocess.run(["sh", "-c", f"{' '.join(map(str, run))} {closed}"], timeout=60).returncode == 2
 
 
-@pytest.mark.parametrize("closed", [">/dev/full", ">&-", "2>/dev/full", "2>&-"])
+@pytest.mark.parametrize(
+    "closed",
+    [
+        ">/dev/full",
+        pytest.param(">&-", marks=pytest.mark.slow),
+        pytest.param("2>/dev/full", marks=pytest.mark.slow),
+        pytest.param("2>&-", marks=pytest.mark.slow),
+    ],
+)
 def test_a_command_ends_its_work_where_what_it_prints_cannot_be_kept(closed, tmp_path):
     if not os.path.exists("/dev/full"):
         pytest.skip("no /dev/full")

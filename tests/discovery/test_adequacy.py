@@ -134,7 +134,7 @@ SOFT = partial(ndimage.gaussian_filter, sigma=0.35)
     ("light", "kind", "fits"),
     [
         (lambda s: per_colour(s, SHIFTED), "shift", True),
-        (lambda s: per_colour(s, SOFT), "blur", True),
+        pytest.param(lambda s: per_colour(s, SOFT), "blur", True, marks=pytest.mark.slow),
         (lambda s: 0.98 * s + 0.02 * np.roll(s, 14, 1), "shift", False),
     ],
     ids=["shift", "soft", "ghost"],
@@ -221,7 +221,14 @@ def response(pattern):
 
 
 @pytest.mark.parametrize(
-    "texture", ["white", "blurred", "fringes", "rings and white", "white and some fringes"]
+    "texture",
+    [
+        "white",
+        pytest.param("blurred", marks=pytest.mark.slow),
+        "fringes",
+        pytest.param("rings and white", marks=pytest.mark.slow),
+        pytest.param("white and some fringes", marks=pytest.mark.slow),
+    ],
 )
 def test_a_gain_map_of_fringes_is_no_map_of_single_pixels(texture):
     rng = np.random.default_rng(2)
@@ -273,7 +280,16 @@ def test_noise_that_grows_over_the_frame_is_no_noise_of_single_pixels(map_of):
     assert (against is not None) == (map_of == "a gradient")
 
 
-@pytest.mark.parametrize("columns", ["single", "a few single", "an edge", "a wave", "one place"])
+@pytest.mark.parametrize(
+    "columns",
+    [
+        "single",
+        pytest.param("a few single", marks=pytest.mark.slow),
+        "an edge",
+        pytest.param("a wave", marks=pytest.mark.slow),
+        pytest.param("one place", marks=pytest.mark.slow),
+    ],
+)
 def test_columns_that_are_like_their_neighbours_are_no_single_columns(columns):
     rng, at = np.random.default_rng(4), np.arange(128)
     pattern = {

@@ -157,7 +157,9 @@ def test_the_report_gives_no_iso_where_no_file_states_one():
         assert row["iso"] == told
 
 
-@pytest.mark.parametrize("seed", [0, 1, 3])
+@pytest.mark.parametrize(
+    "seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(3, marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("axis", [0, 1])
 def test_strong_offsets_of_lines_are_not_taken_for_full_pixels(seed, axis):
     """The few offsets that 64 lines draw scatter the variance of a level; the shot noise is all there."""
@@ -238,7 +240,8 @@ def test_strong_drift_of_the_lamp_is_named(drift):
 
 
 @pytest.mark.parametrize(
-    "mechanism, alter, strength", [("dsnu", offset_map, 50.0), ("prnu", response_map, 0.05)]
+    "mechanism, alter, strength",
+    [pytest.param("dsnu", offset_map, 50.0, marks=pytest.mark.slow), ("prnu", response_map, 0.05)],
 )
 def test_maps_far_above_the_noise_are_measured(mechanism, alter, strength, monkeypatch):
     monkeypatch.setattr("tests.discovery.capture.SIZE", SIZE)
@@ -264,7 +267,7 @@ def test_a_gain_setting_of_no_number_has_the_same_one_in_every_split():
     assert numbers[0] == numbers[1] == {0.0: 50.0, 100.0: 100.0}
 
 
-@pytest.mark.parametrize("read", [0.3, 0.5])
+@pytest.mark.parametrize("read", [0.3, pytest.param(0.5, marks=pytest.mark.slow)])
 def test_noise_below_a_code_is_neither_full_wells_nor_hot_pixels(read):
     capture = capture_set(5, kinds="df", size=(64, 96), gain=0.05, read=read / 0.05, black=5.0)
     assert not found(capture)

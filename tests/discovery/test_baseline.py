@@ -50,7 +50,16 @@ def test_the_baseline_of_a_camera(read, black, step):
     assert np.asarray(model.black_level) == pytest.approx(np.full(4, black), abs=0.06)
 
 
-@pytest.mark.parametrize("camera", ["asi178", "asi120", "imx541", "stl1001", "scmos_live"])
+@pytest.mark.parametrize(
+    "camera",
+    [
+        pytest.param("asi178", marks=pytest.mark.slow),
+        pytest.param("asi120", marks=pytest.mark.slow),
+        pytest.param("imx541", marks=pytest.mark.slow),
+        "stl1001",
+        "scmos_live",
+    ],
+)
 def test_calibration_and_diagnosis_agree_on_gain_and_read_noise(real_data, camera):
     """One line through pixels: of the frames of calibration, and of those that diagnosis looks at."""
     capture, _ = central(load_capture_set(real_data / camera), 24576)

@@ -64,7 +64,14 @@ def test_dead_pixels_with_their_share_and_place():
     assert all(dead[tuple(at)] for at in found["dead"].where["index"])
 
 
-@pytest.mark.parametrize("place", [np.s_[:, 41], np.s_[30:, 41], np.s_[17:19, :]])
+@pytest.mark.parametrize(
+    "place",
+    [
+        pytest.param(np.s_[:, 41], marks=pytest.mark.slow),
+        pytest.param(np.s_[30:, 41], marks=pytest.mark.slow),
+        np.s_[17:19, :],
+    ],
+)
 def test_dead_lines_are_dead_pixels_and_edges_of_scenes_are_not(place):
     dead = np.zeros(SIZE, bool)
     dead[place] = True

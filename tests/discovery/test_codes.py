@@ -54,7 +54,7 @@ def test_null_is_not_too_small():
     assert p.min() > 1e-3
 
 
-@pytest.mark.parametrize("black", [0.0, 3.0])
+@pytest.mark.parametrize("black", [0.0, pytest.param(3.0, marks=pytest.mark.slow)])
 def test_darks_cut_off_at_black_are_neither_hot_nor_curved(black):
     found = diagnose(capture_set(1, black=black), compare=False)
     assert found.findings == ["black_clipping"]

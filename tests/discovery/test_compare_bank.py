@@ -50,7 +50,7 @@ def plain():
     return capture_set(31, kinds="d")
 
 
-@pytest.mark.parametrize("kinds", ["df", "sd"])
+@pytest.mark.parametrize("kinds", ["df", pytest.param("sd", marks=pytest.mark.slow)])
 def test_equal_laws_match(kinds):
     found = compare(capture_set(31, kinds=kinds), camera(), KEY)
     assert found.verdict == "match" and not found.differences

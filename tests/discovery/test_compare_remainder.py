@@ -77,6 +77,7 @@ def warm_camera(rng):
     return change
 
 
+@pytest.mark.slow
 def test_noise_that_the_simulator_has_is_not_added_once_more():
     """Neither that of the dark current, which grows with the exposure, nor that of single pixels."""
     capture = capture_set(53, warm_camera, kinds="d", frames=16)

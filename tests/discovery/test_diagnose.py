@@ -45,11 +45,11 @@ def test_nothing_is_found_where_nothing_is():
     "mechanism, alter, amplitude",
     [
         ("row_noise", row_offsets(1.2), 1.2),
-        ("column_fpn", column_pattern(1.0), 1.0),
+        pytest.param("column_fpn", column_pattern(1.0), 1.0, marks=pytest.mark.slow),
         ("prnu", response_map(0.006), 0.006),
-        ("dsnu", offset_map(2.5), 2.5),
-        ("offset_drift", frame_offsets(0.8), 0.8),
-        ("banding", wave(1.2), 1.2),
+        pytest.param("dsnu", offset_map(2.5), 2.5, marks=pytest.mark.slow),
+        pytest.param("offset_drift", frame_offsets(0.8), 0.8, marks=pytest.mark.slow),
+        pytest.param("banding", wave(1.2), 1.2, marks=pytest.mark.slow),
     ],
 )
 def test_a_single_effect_is_named_and_measured(mechanism, alter, amplitude):
@@ -156,6 +156,7 @@ def test_scene_without_reference_and_settings_gives_a_report():
     assert found.findings == []
 
 
+@pytest.mark.slow
 def test_the_minimum_detectable_row_noise_is_that_of_its_signature():
     limit = mde("row_noise", capture_set(0))
     assert limit is not None
@@ -172,7 +173,7 @@ def test_the_minimum_detectable_row_noise_is_that_of_its_signature():
 
 
 def test_what_a_sensor_model_has_already_is_no_mismatch():
-    capture = capture_set(14, row_offsets(2.0))
+    capture = capture_set(14, row_offsets(2.0), kinds="df")
     plain = SensorModel.poisson_gaussian(1.5, 3.0, 200.0, 16383.0)
     full = plain.with_mechanism("row_noise", sigma_dn=2.0)
     assert run(capture, simulator=plain).findings == ["row_noise"]

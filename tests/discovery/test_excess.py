@@ -58,7 +58,7 @@ def test_rows_that_neighbours_share_are_no_noise_of_single_rows():
     assert not names(slow_rows(2.0), slow_rows(2.0))
 
 
-@pytest.mark.parametrize("law", [rows, fixed])
+@pytest.mark.parametrize("law", [rows, pytest.param(fixed, marks=pytest.mark.slow)])
 def test_less_is_named_and_as_much_or_more_is_not(law):
     assert names(law(1.0), law(2.0)) and not names(law(2.0), law(2.0)) and not names(law(2.0), law(1.0))
 

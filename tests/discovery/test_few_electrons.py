@@ -11,15 +11,16 @@ from cannoise_jax.signatures import known_shape, shape
 from tests.discovery.capture import capture_set
 from tests.discovery.looks import white
 
-QUIET = {"gain": 6.0, "read": 0.28, "size": (128, 192)}
+QUIET = {"gain": 6.0, "read": 0.28, "size": (96, 128)}
 """Gain, DN per electron, and read noise, electrons."""
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_electrons_one_by_one_are_no_missing_codes_and_no_tails(seed):
     assert diagnose(capture_set(seed, **QUIET), compare=False).findings == []
 
 
+@pytest.mark.slow
 def test_codes_that_are_skipped_are_found_where_electrons_run_together():
     def skip(rng):
         return lambda dn, signal, kind, exposure: np.rint(dn) - (np.rint(dn) % 8 == 3)

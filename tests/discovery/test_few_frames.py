@@ -20,7 +20,7 @@ def wandering(rng):
     return change
 
 
-@pytest.mark.parametrize("seed", [2, 3])
+@pytest.mark.parametrize("seed", [pytest.param(2, marks=pytest.mark.slow), 3])
 def test_a_lamp_that_wanders_is_confirmed_and_as_wide_as_all_frames_show(seed):
     capture = capture_set(seed, wandering, kinds="df", size=(64, 96), frames=10)
     flats = [r for r in capture.recordings if r.kind == "flat"]

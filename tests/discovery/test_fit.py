@@ -102,6 +102,7 @@ def test_a_second_look_sees_what_the_first_suspects_and_charges_its_share():
     assert late >= 3
 
 
+@pytest.mark.slow
 def test_two_looks_find_nothing_where_there_is_nothing():
     found = []
     for seed in range(40):

@@ -40,7 +40,7 @@ def looked_at(capture):
     )
 
 
-@pytest.mark.parametrize("kinds", ["df", "sdf"])
+@pytest.mark.parametrize("kinds", ["df", pytest.param("sdf", marks=pytest.mark.slow)])
 def test_strong_flicker_is_named_and_does_not_bend_the_photon_transfer_curve(kinds):
     capture = capture_set(3, flickering(0.2, (1.0, 0.95, 0.95, 0.85)), kinds=kinds, size=SIZE)
     first, fitted = looked_at(capture)
@@ -52,6 +52,7 @@ def test_strong_flicker_is_named_and_does_not_bend_the_photon_transfer_curve(kin
     assert found.score.where["period_px"] == pytest.approx(PERIOD, rel=0.05)
 
 
+@pytest.mark.slow
 def test_the_extended_model_flickers_at_the_gain_of_the_camera():
     capture = capture_set(3, flickering(0.2), kinds="df", size=SIZE)
     first, fitted = looked_at(capture)
@@ -77,6 +78,7 @@ def test_white_offsets_of_rows_of_light_are_no_flicker():
     np.testing.assert_allclose(first.baselines[0].gain, 1.5, rtol=0.03)
 
 
+@pytest.mark.slow
 def test_steady_light_leaves_the_curve_as_it_is():
     capture = capture_set(6, kinds="sdf", size=SIZE)
     first, fitted = looked_at(capture)
@@ -84,6 +86,7 @@ def test_steady_light_leaves_the_curve_as_it_is():
     np.testing.assert_allclose(first.baselines[0].gain, 1.5, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_drift_of_the_light_is_not_taken_for_the_level_of_a_weak_sinusoid():
     """A period and a half to the frame: its phases reach the level of a frame, by far less than the drift."""
 
@@ -98,6 +101,7 @@ def test_drift_of_the_light_is_not_taken_for_the_level_of_a_weak_sinusoid():
     assert {s.named.mechanism for s in fitted.steps} == {"flicker", "illumination_drift"}
 
 
+@pytest.mark.slow
 def test_row_noise_is_measured_beside_a_lamp_that_flickers_in_no_sinusoid():
     """What rows of light share beside the sinusoid is not read as offsets of rows, which the darks tell."""
 
@@ -138,6 +142,7 @@ def test_each_colours_own_wave_is_in_the_model():
     assert float(said["frequency"]) == pytest.approx(1 / PERIOD, abs=2e-5)
 
 
+@pytest.mark.slow
 def test_light_that_moves_is_not_taken_for_offsets_of_frames():
     """One flat, whose light moves by fifty times the offsets of darks: each by its own amount."""
 

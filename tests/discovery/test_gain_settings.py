@@ -95,6 +95,7 @@ def test_units_there_and_back_are_the_same():
         assert np.array_equal(back.contrasts, f.contrasts) and native(f).step == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_frames_held_back_are_in_the_units_of_those_that_look():
     splits = splits_of(camera(2))
     units = {f.number: f.unit for f in splits.looking.fields}
@@ -107,7 +108,8 @@ def behind():
     return diagnose(camera(3, before=0.0, behind=1.0), compare=False)
 
 
-@pytest.mark.parametrize("seed", (6, *(pytest.param(n, marks=pytest.mark.slow) for n in (9, 11))))
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", (6, 9, 11))
 def test_strong_columns_are_no_gains_of_columns(seed):
     """The smooth surface of a flat takes up nothing of what the darks show of columns."""
     fitted = diagnose(camera(seed, before=0.0, behind=1.0), compare=False).fitted
@@ -144,6 +146,7 @@ def test_frames_held_back_at_every_gain_confirm_both(found, behind):
             assert proofs[mechanism].basis == "likelihood" and proofs[mechanism].confirmed
 
 
+@pytest.mark.slow
 def test_frames_held_back_at_one_gain_alone_are_looked_at():
     """The other gain has recordings of two frames only, all of which look."""
     capture = camera(4, before=1.0, behind=1.0)
@@ -161,6 +164,7 @@ def test_frames_held_back_at_one_gain_alone_are_looked_at():
     assert result.fitted.steps and len(result.proofs) == len(result.fitted.steps)
 
 
+@pytest.mark.slow
 def test_offsets_of_pixels_behind_the_gain_are_the_same_number_of_codes():
     """As a map before the gain they would be too weak at one gain and too strong at another."""
     result = diagnose(camera(5, before=0.0, pixels=1.2), compare=False)

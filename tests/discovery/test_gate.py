@@ -204,6 +204,7 @@ def test_the_right_simulator_leaves_nothing_and_is_nearer():
     assert found.nearer is not None and found.nearer.verdict == "B" and found.held_back
 
 
+@pytest.mark.slow
 def test_what_has_no_name_is_in_the_simulator_that_is_handed_back():
     """Half rows that jump are no entry of the catalogue; without names they are still drawn."""
 

@@ -48,8 +48,19 @@ def against(series):
     return other_spectrum(series, series) or other_law(series, FRAMES)
 
 
-@pytest.mark.parametrize("exponent", [0.0, 0.5, 1.0, 1.5])
-@pytest.mark.parametrize(("strength", "uneven"), [(0.5, 0.0), (2.0, 0.2), (0.5, 0.6), (2.0, 0.6)])
+@pytest.mark.parametrize(
+    "exponent",
+    [0.0, pytest.param(0.5, marks=pytest.mark.slow), 1.0, pytest.param(1.5, marks=pytest.mark.slow)],
+)
+@pytest.mark.parametrize(
+    ("strength", "uneven"),
+    [
+        (0.5, 0.0),
+        pytest.param(2.0, 0.2, marks=pytest.mark.slow),
+        pytest.param(0.5, 0.6, marks=pytest.mark.slow),
+        (2.0, 0.6),
+    ],
+)
 def test_noise_of_a_power_law_keeps_its_name(exponent, strength, uneven):
     """Of 16 kinds ten draws each: at one in a hundred the chance of none is one in five; none of 6,000 draws
     beside these was doubted."""

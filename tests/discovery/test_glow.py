@@ -43,7 +43,14 @@ def darks(rng, signal: np.ndarray, frames: int) -> tuple[Fields, ...]:
     return tuple(out)
 
 
-@pytest.mark.parametrize(("place", "reach"), [((0, 1), 0.13), ((1, 1), 0.22), ((0, 0), 0.3)])
+@pytest.mark.parametrize(
+    ("place", "reach"),
+    [
+        pytest.param((0, 1), 0.13, marks=pytest.mark.slow),
+        pytest.param((1, 1), 0.22, marks=pytest.mark.slow),
+        ((0, 0), 0.3),
+    ],
+)
 def test_strength_covers_the_truth_on_frames_that_looked_and_on_others(place, reach):
     rng = np.random.default_rng(1)
     truth, looked, again = 0.09, [], []

@@ -53,6 +53,7 @@ def test_a_glow_grows_from_a_bias_of_no_exposure():
     assert steps["hot_pixels"].parameters["fraction"][0] == pytest.approx(0.003, rel=0.6)
 
 
+@pytest.mark.slow
 def test_a_step_in_offset_is_no_glow():
     step = Taps(np.array([[-2.0], [2.0]])).image(SIZE)
     found = diagnose(with_bias(capture_set(91, warm(0.0, offsets=step), kinds="df")), compare=False)

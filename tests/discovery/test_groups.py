@@ -32,7 +32,9 @@ def log_p(fields, name, time):
     return groups.group_score(fields, name=name, time=time).log_p
 
 
-@pytest.mark.parametrize("name", LAYOUTS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=() if n in ("tile_16", "diagonal") else pytest.mark.slow) for n in LAYOUTS]
+)
 def test_p_is_uniform_without_an_effect(name):
     rng = np.random.default_rng(0)
     p = np.exp([log_p((field(rng), field(rng)), name, "redrawn") for _ in range(200)])
@@ -90,10 +92,14 @@ DRAWS = {
     "raster_slope": lambda rng: coloured(rng, 96 * 128).reshape(96, 128),
     "tile_16_redrawn": lambda rng: np.kron(rng.standard_normal((6, 8)), np.ones((16, 16))),
 }
+STRENGTHS = (("row_additive_temporal", 1.5), ("tile_16_redrawn", 15.0))
+"""Looked at by default."""
 
 
-@pytest.mark.parametrize("sigma", [2.0, 45.0])
-@pytest.mark.parametrize("name", ["row_additive_temporal", "row_slope", "tile_16_redrawn"])
+@pytest.mark.parametrize("sigma", [pytest.param(2.0, marks=pytest.mark.slow), 45.0])
+@pytest.mark.parametrize(
+    "name", ["row_additive_temporal", pytest.param("row_slope", marks=pytest.mark.slow), "tile_16_redrawn"]
+)
 def test_what_is_left_of_strong_offsets_is_white(name, sigma):
     """The modelled noise holds strong offsets too: once out, no line or tile stands above its pixels."""
     capture = capture_set(57, redrawn_by(DRAWS[name], sigma), kinds="df")
@@ -110,8 +116,14 @@ def test_what_is_left_of_strong_offsets_is_white(name, sigma):
     assert np.abs(np.log(np.divide(own, true))).max() < 0.08
 
 
-@pytest.mark.parametrize("strength", [1.5, 15.0])
-@pytest.mark.parametrize("name", list(DRAWS))
+@pytest.mark.parametrize(
+    ("name", "strength"),
+    [
+        pytest.param(n, s, marks=() if (n, s) in STRENGTHS else pytest.mark.slow)
+        for n in DRAWS
+        for s in (1.5, 15.0)
+    ],
+)
 def test_strength_of_what_is_redrawn_is_told_however_strong(name, strength):
     capture = capture_set(11, redrawn_by(DRAWS[name], strength))
     prepared = prepare_split(capture, split_recordings(capture))

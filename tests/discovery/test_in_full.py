@@ -18,7 +18,7 @@ ENTRIES = declare.registered()
 NAMES = frozenset(entry.id for entry in ENTRIES)
 
 
-@pytest.mark.parametrize("drawn", [0.6, 1.0])
+@pytest.mark.parametrize("drawn", [0.6, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_noise_of_rows_that_lacks_is_that_of_the_recordings_less_that_of_the_draws(drawn):
     own_set = capture_set(11, rows(drawn), kinds="d")
     own = own_effects(own_set, ENTRIES, NAMES, np.log(0.008))

@@ -118,7 +118,9 @@ def test_what_grows_with_the_exposure_grows_in_every_recording(alter, stays):
     assert (found is None) == stays
 
 
-@pytest.mark.parametrize("strength", [0.12, 0.3, 1.0])
+@pytest.mark.parametrize(
+    "strength", [0.12, pytest.param(0.3, marks=pytest.mark.slow), pytest.param(1.0, marks=pytest.mark.slow)]
+)
 def test_maps_that_stay_keep_their_name(strength):
     """Ten draws each, from just seen to as strong as the noise: none is doubted."""
     for seed in range(10):

@@ -51,7 +51,7 @@ def plain():
     return found()
 
 
-@pytest.mark.parametrize("name", ["parallel_cti", "serial_cti"])
+@pytest.mark.parametrize("name", [pytest.param("parallel_cti", marks=pytest.mark.slow), "serial_cti"])
 def test_it_is_named_and_no_tail_counts_as_hot(name, plain):
     scores = found(effect(name, 0.1))
     assert {"parallel_cti", "serial_cti"} & set(scores) == {name}

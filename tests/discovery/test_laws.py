@@ -13,8 +13,12 @@ from cannoise_jax.signatures.rare import sparse_log_p
 from cannoise_jax.signatures.score import normal_log_p, skewed_log_p
 
 
-@pytest.mark.parametrize("width", [0.45, 0.6, 0.8, 2.0])
-@pytest.mark.parametrize("place", [0.0, 0.3, 0.5])
+@pytest.mark.parametrize(
+    "width", [0.45, pytest.param(0.6, marks=pytest.mark.slow), pytest.param(0.8, marks=pytest.mark.slow), 2.0]
+)
+@pytest.mark.parametrize(
+    "place", [pytest.param(0.0, marks=pytest.mark.slow), 0.3, pytest.param(0.5, marks=pytest.mark.slow)]
+)
 def test_kurtosis_of_rounded_noise_is_known(width, place):
     rng = np.random.default_rng(0)
     codes = np.rint(rng.normal(100 + place, width, 2_000_000))

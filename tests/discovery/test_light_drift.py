@@ -31,12 +31,17 @@ def lamp(common, colour):
     return alter
 
 
-def looked_at(alter, flats=1):
-    """What is found in darks and flats of so many levels."""
+def prepared(alter, flats=1):
+    """Darks and flats of so many levels, and the frames of them that look."""
     whole = capture_set(4, alter, kinds="df", size=SIZE, frames=16)
     lit = [r for r in whole.recordings if r.kind == "flat"][-flats:]
     capture = CaptureSet(whole.camera, (*(r for r in whole.recordings if r.kind == "dark"), *lit))
-    first = prepare_split(capture, split_recordings(capture))
+    return capture, prepare_split(capture, split_recordings(capture))
+
+
+def looked_at(alter, flats=1):
+    """What is found in them."""
+    capture, first = prepared(alter, flats)
     fitted = stepwise(first.fields, first.signatures, frozenset(e.id for e in registered()), np.log(0.01))
     return capture, first, fitted
 
@@ -45,7 +50,7 @@ def names(fitted):
     return {s.named.signature.name for s in fitted.steps}
 
 
-@pytest.mark.parametrize("flats", [1, 3])
+@pytest.mark.parametrize("flats", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_drift_of_brightness_is_named_and_none_of_the_offset(flats):
     _, _, fitted = looked_at(lamp(0.01, 0.0), flats)
     assert [s.named.mechanism for s in fitted.steps] == ["illumination_drift"]
@@ -90,5 +95,5 @@ def sky(rng):
 
 
 def test_light_that_leans_leaves_the_gain():
-    plain, leaning = (first.baselines[0].gain for _, first, _ in (looked_at(lamp(0.0, 0.0)), looked_at(sky)))
+    plain, leaning = (prepared(alter)[1].baselines[0].gain for alter in (lamp(0.0, 0.0), sky))
     assert np.mean(leaning) == pytest.approx(np.mean(plain), rel=0.025)

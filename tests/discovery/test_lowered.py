@@ -50,13 +50,13 @@ def own_sensor(model):
     ("given", "there"),
     [
         (own_sensor, 1.2),
-        (function_of, 0.0),
+        pytest.param(function_of, 0.0, marks=pytest.mark.slow),
         pytest.param(own_sensor, 0.0, marks=pytest.mark.slow),
         pytest.param(function_of, 1.2, marks=pytest.mark.slow),
     ],
 )
 def test_what_is_too_much_is_lowered_in_what_is_handed_back(given, there):
-    capture = capture_set(71, rows(there) if there else None, kinds="d", frames=12)
+    capture = capture_set(71, rows(there) if there else None, kinds="d", frames=12, size=(64, 96))
     found = diagnose(capture, given(sensor(3.0)), KEY)
     assert [e.mechanism for e in found.excess] == ["row_noise"] and found.verdict == "explained"
     handed = [m for m in found.model.mechanisms if m.mechanism == "row_noise"]

@@ -30,17 +30,7 @@ from tests.discovery.naive_limits import (
     shifts,
 )  # fmt: skip
 
-FIRST = (
-    "row_noise",
-    "dsnu",
-    "prnu",
-    "banding",
-    "channel_offset",
-    "green_imbalance",
-    "crosstalk",
-    "heavy_tails",
-    "pixel_read_noise_map",
-)
+FIRST = ("row_noise", "dsnu", "heavy_tails")
 REST = tuple(m for m in CASES if m not in FIRST)
 
 
@@ -125,7 +115,7 @@ def test_few_telegraph_pixels_shift_their_likelihood_ratio_by_five(frames):
     assert shift == pytest.approx(5, abs=0.3)
 
 
-@pytest.mark.parametrize("mechanism", ["hot_pixels", "rts"])
+@pytest.mark.parametrize("mechanism", ["hot_pixels", pytest.param("rts", marks=pytest.mark.slow)])
 def test_sparse_effects_stand_on_the_frames_that_show_them(mechanism):
     darks = capture_set(5, size=SIZE, gain=GAIN, read=READ, black=BLACK, kinds="d")
     more = capture_set(5, size=SIZE, gain=GAIN, read=READ, black=BLACK, kinds="d", frames=32)
@@ -186,6 +176,7 @@ def nothing_found():
     return diagnose(capture_set(0, kinds="d"), compare=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mechanism", "effect"),
     [

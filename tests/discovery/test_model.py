@@ -50,8 +50,13 @@ def found(capture, without=()):
     "alter, hidden, expected",
     [
         (row_offsets(2.0), (), "row_noise"),
-        (row_offsets(2.0), ("row_noise", "row_pink_noise"), "unknown_row_additive_temporal"),
-        (offset_map(3.0), (), "dsnu"),
+        pytest.param(
+            row_offsets(2.0),
+            ("row_noise", "row_pink_noise"),
+            "unknown_row_additive_temporal",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(offset_map(3.0), (), "dsnu", marks=pytest.mark.slow),
         (response_map(0.01), ("prnu",), "unknown_pixel_relative_static"),
     ],
 )
@@ -158,6 +163,7 @@ def test_without_findings_it_is_the_baseline():
     np.testing.assert_allclose(bare.gain_dn_per_e, 1.5, rtol=0.05)
 
 
+@pytest.mark.slow
 def test_the_written_model_is_no_mismatch_to_its_own_recordings(tmp_path):
     capture = capture_set(55, row_offsets(2.0), kinds="df")
     run = diagnose(capture, compare=False)
@@ -241,7 +247,7 @@ def own_currents(mean, variation, clamped, gain=1.5):
     return alter
 
 
-@pytest.mark.parametrize("clamped", [False, True])
+@pytest.mark.parametrize("clamped", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_the_own_charge_of_pixels_brings_its_shot_noise(clamped):
     capture = capture_set(60, own_currents(800.0, 0.4, clamped), kinds="df", frames=12)
     first, steps = found(capture)

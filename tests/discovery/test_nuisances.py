@@ -49,17 +49,21 @@ def first_name(capture: CaptureSet) -> str | None:
     return None if found is None else found.mechanism
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_vignetting_is_light_and_not_sensitivity(seed):
     assert first_name(camera(seed, read=6.0, gain=0.6, black=64.0, corner=0.5)) is None
 
 
-@pytest.mark.parametrize("read", [0.2, 0.3, 0.45])
+@pytest.mark.parametrize(
+    "read", [pytest.param(0.2, marks=pytest.mark.slow), 0.3, pytest.param(0.45, marks=pytest.mark.slow)]
+)
 def test_noise_far_below_a_code_is_no_pattern(read):
     assert first_name(camera(3, read=read, gain=0.1, black=64.0)) is None
 
 
-@pytest.mark.parametrize("black", [2.0, 3.0, 5.0])
+@pytest.mark.parametrize(
+    "black", [2.0, pytest.param(3.0, marks=pytest.mark.slow), pytest.param(5.0, marks=pytest.mark.slow)]
+)
 def test_values_cut_off_at_zero_are_black_clipping_and_nothing_else(black):
     assert first_name(camera(4, read=black, gain=0.8, black=black)) == "black_clipping"
 

@@ -90,6 +90,7 @@ def test_noise_of_dark_charge_is_no_read_noise(read):
     assert (scores["stated_read"].log_p < -20) == (read != READ)
 
 
+@pytest.mark.slow
 def test_the_black_level_of_a_simulator_that_is_right_stays():
     """Of one that lacks half of the dark current."""
     given = SensorModel.poisson_gaussian(

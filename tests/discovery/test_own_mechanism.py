@@ -116,7 +116,11 @@ def sampled(own, sigma):
     return alter
 
 
-@pytest.mark.parametrize("own, sigma", [(THIRD, 1.5), (BLOCKS, 3.0)], ids=["third rows", "blocks"])
+@pytest.mark.parametrize(
+    "own, sigma",
+    [(THIRD, 1.5), pytest.param(BLOCKS, 3.0, marks=pytest.mark.slow)],
+    ids=["third rows", "blocks"],
+)
 def test_it_is_found_named_fitted_proved_and_simulated(own, sigma):
     capture = capture_set(71, sampled(own, sigma), kinds="df")
     found = diagnose(capture, mechanisms=(own,), compare=False)
@@ -140,6 +144,7 @@ def test_it_is_found_named_fitted_proved_and_simulated(own, sigma):
     assert np.std(np.asarray(drawn, float) - np.asarray(less, float)) > 0
 
 
+@pytest.mark.slow
 def test_a_frozen_pattern_from_outside_is_kept_as_it_was_recorded():
     slopes = np.random.default_rng(9).standard_normal((SIZE[0] // 16, SIZE[1] // 16))
     truth = 3.0 * np.repeat(np.repeat(slopes, 16, 0), 16, 1) * _ramp(SIZE)
@@ -170,7 +175,10 @@ def test_one_of_the_capture_is_found_and_is_not_in_the_camera_model():
     assert lamp.id not in {f.mechanism for f in found.model.mechanisms}
 
 
-@pytest.mark.parametrize("over", SITES)
+@pytest.mark.parametrize(
+    "over",
+    [pytest.param(s, marks=() if s in ("row", "block", "channel") else pytest.mark.slow) for s in SITES],
+)
 def test_it_is_reported_where_it_varies(over):
     record = mechanism_from_grammar(Point("readout", "signal", over, "redrawn"), id="own", default=1.0)
     (signature,) = generic.by_sampling(record, name="own", known={}, simulated=True)(RECORDED)
@@ -179,7 +187,7 @@ def test_it_is_reported_where_it_varies(over):
 
 
 def test_where_it_is_not_it_is_not_found_and_told_what_would_be():
-    found = diagnose(capture_set(72, kinds="df"), mechanisms=(THIRD, "row_noise"), compare=False)
+    found = diagnose(capture_set(72, kinds="d"), mechanisms=(THIRD, "row_noise"), compare=False)
     assert found.findings == []
     missing = {m["mechanism"]: m for m in document(found, key=0, version="")["not_found"]}
     assert 0 < missing["third_rows"]["smallest_detectable"]["value"] < 1.0
@@ -213,7 +221,9 @@ def test_one_from_outside_says_what_covers_it():
     assert after.pop("own") == () and after == before | {taken: (*before[taken], "own")}
 
 
-@pytest.mark.parametrize("own", [THIRD, BLOCKS], ids=["third rows", "blocks"])
+@pytest.mark.parametrize(
+    "own", [pytest.param(THIRD, marks=pytest.mark.slow), BLOCKS], ids=["third rows", "blocks"]
+)
 def test_p_is_uniform_without_an_effect(own):
     (signature,) = generic.by_sampling(own.record, name=own.id, known={}, simulated=True)(RECORDED)
     p = np.exp([signature.score(white(np.random.default_rng(s), size=(48, 64))).log_p for s in range(200)])

@@ -28,9 +28,11 @@ def by_parity(even, odd, shared):
 @pytest.mark.parametrize(
     ("alter", "truth"),
     [
-        (by_parity(1.5, 1.5, 0.0), {WHOLE: 1.5 / 2**0.5, PARTED: 1.5 / 2**0.5}),
+        pytest.param(
+            by_parity(1.5, 1.5, 0.0), {WHOLE: 1.5 / 2**0.5, PARTED: 1.5 / 2**0.5}, marks=pytest.mark.slow
+        ),
         (by_parity(1.5, 1.5, 2.0), {WHOLE: (1.5**2 / 2 + 4) ** 0.5, PARTED: 1.5 / 2**0.5}),
-        (row_offsets(1.5), {WHOLE: 1.5}),
+        pytest.param(row_offsets(1.5), {WHOLE: 1.5}, marks=pytest.mark.slow),
     ],
     ids=["apart", "apart and together", "together"],
 )

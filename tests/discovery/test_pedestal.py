@@ -55,7 +55,9 @@ def test_levels_are_those_of_the_darks_and_lie_between_in_between():
     np.testing.assert_allclose(drawn_levels(bare, 0.1), 200, atol=0.35)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize(
+    "seed", [*range(4), *(pytest.param(n, marks=pytest.mark.slow) for n in range(4, 12))]
+)
 def test_darks_that_lie_where_they_should_get_none(seed):
     assert not levelled(clamped(np.zeros(4), seed))[1].mechanisms
 

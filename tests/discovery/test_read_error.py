@@ -30,10 +30,11 @@ def test_a_wave_of_few_phases_makes_the_read_noise_unsure():
     lie within what is said, and without a wave no more is said than of independent pixels."""
     true = READ**2 + WAVE**2 / 2
     off = []
-    for seed in range(24):
+    # Of so few cameras the spread is less sure and the largest smaller: both bounds are as far.
+    for seed in range(12):
         b = baseline(seed, WAVE)
         error = 2 * b.read_noise * b.read_stderr
         off.append(float(np.mean(b.read_noise**2 - true)) / float(np.linalg.norm(error) / 4))
     assert np.std(off) < 1.6 and np.max(np.abs(off)) < 4.5
-    quiet = [baseline(seed, 0.0).read_stderr.mean() for seed in range(6)]
+    quiet = [baseline(seed, 0.0).read_stderr.mean() for seed in range(3)]
     assert np.max(quiet) < 1.3 * READ / np.sqrt(2 * (FRAMES - 1) * SIZE[0] * SIZE[1] / 4)

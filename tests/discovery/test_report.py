@@ -51,7 +51,7 @@ def both(rng):
 
 @pytest.fixture(scope="module")
 def found():
-    return diagnose(capture_set(21, both), key=jax.random.key(1))
+    return diagnose(capture_set(21, both, size=(64, 128)), key=jax.random.key(1))
 
 
 @pytest.fixture(scope="module")
@@ -189,7 +189,15 @@ def test_page_says_it_all_and_loads_nothing(found, report):
     assert not re.search(r"\b(None|nan|inf)\b", shown)
 
 
-@pytest.mark.parametrize("kinds, frames", [("d", 1), ("s", 1), ("f", 2), ("d", 2)])
+@pytest.mark.parametrize(
+    "kinds, frames",
+    [
+        ("d", 1),
+        ("s", 1),
+        pytest.param("f", 2, marks=pytest.mark.slow),
+        pytest.param("d", 2, marks=pytest.mark.slow),
+    ],
+)
 def test_parts_of_a_set_give_reports_without_what_they_cannot_say(kinds, frames):
     found = diagnose(capture_set(22, both, kinds=kinds, frames=frames))
     report = json.loads(json.dumps(document(found, key=0, version="0"), allow_nan=False))
@@ -200,6 +208,7 @@ def test_parts_of_a_set_give_reports_without_what_they_cannot_say(kinds, frames)
             assert "not confirmed" in f["sentence"] and f["log_e_value"] is None
 
 
+@pytest.mark.slow
 def test_what_may_not_be_named_is_listed_nowhere():
     hidden = ("row_noise", "row_pink_noise")
     found = diagnose(capture_set(23, both), without=hidden, compare=False)
@@ -260,7 +269,7 @@ def test_memory_does_not_grow_with_the_number_of_frames():
 def test_command_writes_report_page_and_model(tmp_path, capsys):
     folder = tmp_path / "recordings"
     folder.mkdir()
-    for n, r in enumerate(capture_set(25, both, kinds="d").recordings):
+    for n, r in enumerate(capture_set(25, both, kinds="d", size=(64, 128)).recordings):
         write_recording(folder / f"{n}.h5", r)
     out = tmp_path / "out"
     assert command.main(["--recordings", str(folder), "--out", str(out), "--key", "3"]) == 0

@@ -51,7 +51,15 @@ def test_sums_of_groups_add_scores_and_information():
     np.testing.assert_allclose(of.information, [1 + 2, 3 + 4 + 5, 6 + 7])
 
 
-@pytest.mark.parametrize("rows,phase", [(2, 0), (2, 1), (3, 1), (4, 3)])
+@pytest.mark.parametrize(
+    "rows,phase",
+    [
+        pytest.param(2, 0, marks=pytest.mark.slow),
+        (2, 1),
+        pytest.param(3, 1, marks=pytest.mark.slow),
+        pytest.param(4, 3, marks=pytest.mark.slow),
+    ],
+)
 def test_rows_read_together_are_found_and_simulated_so(rows, phase):
     capture, first, fitted = looked_at(
         lambda rng: lambda dn, signal, kind, t: dn + 1.2 * in_groups(rng, rows, phase, dn.shape)
@@ -89,7 +97,7 @@ def test_even_and_odd_columns_that_part_by_pairs_of_rows():
     assert abs(across.mean()) < 0.2
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [2, *(pytest.param(n, marks=pytest.mark.slow) for n in (0, 1))])
 def test_rows_that_wander_are_in_no_groups(seed):
     def alter(rng):
         def change(dn, signal, kind, t):
@@ -112,6 +120,7 @@ def test_white_rows_are_each_by_themselves():
     assert fitted.steps[0].named.score.payload.together == ALONE
 
 
+@pytest.mark.slow
 def test_a_line_that_is_less_than_the_noise_of_rows_takes_nothing_of_it_and_keeps_its_strength():
     """White rows with a sinusoid in them fit 1/f rows better than white ones, until the sinusoid is known;
     found after them, it would be as weak as they left it."""

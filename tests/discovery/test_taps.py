@@ -34,7 +34,14 @@ def test_offsets_of_regions_are_found_with_their_strength(taps, axis):
     assert abs(score.payload.image(SIZE) - image).max() < 0.15
 
 
-@pytest.mark.parametrize("shape", ["fall", "wave", "noise of columns"])
+@pytest.mark.parametrize(
+    "shape",
+    [
+        "fall",
+        pytest.param("wave", marks=pytest.mark.slow),
+        pytest.param("noise of columns", marks=pytest.mark.slow),
+    ],
+)
 def test_other_patterns_are_no_regions(shape):
     y, x = np.indices(SIZE) / max(SIZE)
     image = {
@@ -72,7 +79,15 @@ def taps(layout, sigma):
     return image
 
 
-@pytest.mark.parametrize("layout", [(1, 4), (2, 2), (1, 3), (2, 1)])
+@pytest.mark.parametrize(
+    "layout",
+    [
+        (1, 4),
+        (2, 2),
+        pytest.param((1, 3), marks=pytest.mark.slow),
+        pytest.param((2, 1), marks=pytest.mark.slow),
+    ],
+)
 def test_regions_that_move_from_frame_to_frame_are_found_with_their_strength_and_layout(layout):
     found = diagnose(capture_set(45, anew(taps(layout, 0.5)), kinds="df"), compare=False)
     assert found.findings == ["amplifier_drift"]
@@ -102,7 +117,10 @@ def tiles(rng):
     return np.kron(0.5 * rng.standard_normal((SIZE[0] // 16, SIZE[1] // 16)), np.ones((16, 16)))
 
 
-@pytest.mark.parametrize("image", [tear, clouds, fall, tiles])
+@pytest.mark.parametrize(
+    "image",
+    [tear, pytest.param(clouds, marks=pytest.mark.slow), pytest.param(fall, marks=pytest.mark.slow), tiles],
+)
 def test_other_fields_that_move_are_no_regions(image):
     found = diagnose(capture_set(45, anew(image), kinds="df"), compare=False)
     assert found.findings and "amplifier_drift" not in found.findings
@@ -158,7 +176,9 @@ STEPS = [
 ]
 
 
-@pytest.mark.parametrize("levels", STEPS)
+@pytest.mark.parametrize(
+    "levels", [STEPS[0], *(pytest.param(s, marks=pytest.mark.slow) for s in STEPS[1:3]), STEPS[3]]
+)
 def test_gains_of_regions_are_found_beside_prnu_and_a_lens(levels):
     truth = Taps(np.array(levels) - np.mean(levels))
     made = capture_set(81, lit(truth.image(SIZE), prnu=0.004), kinds="df", frames=6)
@@ -177,7 +197,13 @@ SPOTS = -0.02 * np.exp(-((X - 30) ** 2 + (Y - 50) ** 2) / 60) - 0.015 * np.exp(
 
 @pytest.mark.parametrize(
     "gain, columns",
-    [(0.0, 0.0), (0.0, 0.004), (SPOTS, 0.0), (0.004 * np.sin(X / 5 + Y / 17), 0.0), (0.006 * (X > 77), 0.0)],
+    [
+        pytest.param(0.0, 0.0, marks=pytest.mark.slow),
+        (0.0, 0.004),
+        (SPOTS, 0.0),
+        pytest.param(0.004 * np.sin(X / 5 + Y / 17), 0.0, marks=pytest.mark.slow),
+        pytest.param(0.006 * (X > 77), 0.0, marks=pytest.mark.slow),
+    ],
     ids=["even", "columns", "dust", "fringes", "a step elsewhere"],
 )
 def test_other_responses_are_no_gains_of_regions(gain, columns):

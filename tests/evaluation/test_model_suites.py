@@ -46,6 +46,7 @@ def test_a_part_that_does_nothing_is_worth_nothing(request_):
     assert rows["nothing"]["excess KL"] == rows["whole"]["excess KL"]
 
 
+@pytest.mark.slow
 def test_the_networks_after_the_branches_are_left_out(request_):
     """Of a model whose networks add nothing yet that changes nothing; of one whose networks do, it does."""
     plain = request_.models[0]
@@ -98,6 +99,7 @@ def test_levels_beyond_the_prior_are_those_of_the_estimate_without_learning(requ
             assert ratio == pytest.approx(1, abs=0.06)
 
 
+@pytest.mark.slow
 def test_more_trained_models_stand_among_the_noise_models_each_camera_on_its_own_sensor(request_):
     """A generator that learned nothing, on the true sensors, is nearly the truth where the gain is told."""
     cameras, key = virtual_cameras()[::4], jax.random.key(0)  # two, for each sensor is a program of its own

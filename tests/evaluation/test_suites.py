@@ -161,6 +161,7 @@ def test_the_command_writes_json_and_a_page(tmp_path, capsys):
     assert "--force" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_killed_run_is_made_again_and_a_finished_one_is_kept(tmp_path, capsys):
     flags = ["--suite", "encoder", "--workdir", str(tmp_path), "--seeds", "1", "--scenes", "2"]
     flags += ["--per-scene", "1", "--train-scenes", "6"]

@@ -242,7 +242,14 @@ def drawing(folder: Path, command: str) -> Case:
     return Case("", "sample", ["--model", "in", "--reference", "A", "--iso", "100", *levels, *more])
 
 
-@pytest.mark.parametrize("command", ["convert", "simulate", pytest.param("sample", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "command",
+    [
+        "convert",
+        pytest.param("simulate", marks=pytest.mark.slow),
+        pytest.param("sample", marks=pytest.mark.slow),
+    ],
+)
 def test_recordings_in_the_making_are_whole_after_a_kill_and_made_again(
     command, worker, tmp_path, request, tables
 ):

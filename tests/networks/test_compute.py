@@ -36,7 +36,7 @@ def off(exact, low):
     return float(jnp.linalg.norm(exact - low) / jnp.linalg.norm(exact - jnp.mean(exact)))
 
 
-@pytest.mark.parametrize("literal", [False, True])
+@pytest.mark.parametrize("literal", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_networks_in_few_bits_stay_near_and_return_float32(literal):
     clean, noise, sigma = images()
     shared = {"width": 1 / 16, "literal": literal, "output_norm": False}

@@ -33,6 +33,7 @@ def inputs(batch=2, side=64):
     return clean, sigma * draw(1, batch, side, side, 4), sigma
 
 
+@pytest.mark.slow
 def test_the_generator_starts_as_its_initial_noise():
     clean, noise, sigma = inputs(1)
     latent, keys = draw(2, 1, 8), {"params": jax.random.key(0), "noise": jax.random.key(1)}

@@ -20,7 +20,7 @@ def recording(kind, light, columns):
     return Recording(frames, "MONO", (500.0,) * 4, 16383.0, kind=kind, exposure_s=1.0, path=f"{kind}.h5")
 
 
-@pytest.mark.parametrize("sigma", [0.0, 1.5])
+@pytest.mark.parametrize("sigma", [0.0, pytest.param(1.5, marks=pytest.mark.slow)])
 def test_the_step_between_two_amplifiers_is_drawn_once(sigma):
     halves = np.repeat([-STEP / 2, STEP / 2], SIZE[1] // 2)
     own = sigma * np.random.default_rng(2).standard_normal(SIZE[1])

@@ -44,7 +44,10 @@ def calibrated(captures):
     return {f.mechanism: f for f in findings}, sensor_model([transfer], findings)
 
 
-@pytest.mark.parametrize(("rate", "variation", "hot"), [(0.5, 0.6, 1e-3), (5.0, 0.8, 2e-3), (5.0, 1.0, 0.0)])
+@pytest.mark.parametrize(
+    ("rate", "variation", "hot"),
+    [(0.5, 0.6, 1e-3), (5.0, 0.8, 2e-3), pytest.param(5.0, 1.0, 0.0, marks=pytest.mark.slow)],
+)
 def test_the_tail_of_the_dark_currents_is_not_hot(rate, variation, hot):
     """Currents, their spread and hot pixels come back, and a camera drawn anew has the darks' quantiles."""
     rng = np.random.default_rng(int(10 * rate + 100 * variation))
@@ -70,7 +73,15 @@ def test_the_tail_of_the_dark_currents_is_not_hot(rate, variation, hot):
     assert np.corrcoef(np.asarray(drawn, float).mean(0).ravel(), longest.frames.mean(0).ravel())[0, 1] > 0.9
 
 
-@pytest.mark.parametrize(("variation", "frames"), [(0.0, 2), (0.3, 3), (0.5, 2), (1.0, 2)])
+@pytest.mark.parametrize(
+    ("variation", "frames"),
+    [
+        (0.0, 2),
+        pytest.param(0.3, 3, marks=pytest.mark.slow),
+        pytest.param(0.5, 2, marks=pytest.mark.slow),
+        (1.0, 2),
+    ],
+)
 def test_few_frames_tell_the_mean_and_the_spread_of_dark_currents(variation, frames):
     """Noise of means of few frames is as wide as the currents: their tail is no hot pixels, and noise is no
     spread. The darks come back as dark as they were."""
@@ -92,7 +103,9 @@ def test_few_frames_tell_the_mean_and_the_spread_of_dark_currents(variation, fra
         assert made == pytest.approx(np.mean(r.frames), abs=0.01 * full + 0.03)
 
 
-@pytest.mark.parametrize(("peak", "length", "rate"), [(40.0, 60.0, 0.1), (4.0, 25.0, 2.0)])
+@pytest.mark.parametrize(
+    ("peak", "length", "rate"), [pytest.param(40.0, 60.0, 0.1, marks=pytest.mark.slow), (4.0, 25.0, 2.0)]
+)
 def test_a_glow_is_no_dark_current_and_no_pattern(peak, length, rate):
     glow = peak * np.exp(-np.hypot(*np.mgrid[: SIZE[0], : SIZE[1]]) / length)
     found, model = calibrated(recorded(rate, 5, glow))

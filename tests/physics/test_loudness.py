@@ -56,7 +56,7 @@ def causes(stats):
         ("heavy_tails",),
         ("pixel_read_noise_map",),
         ("rts",),
-        ("heavy_tails", "pixel_read_noise_map"),
+        pytest.param(("heavy_tails", "pixel_read_noise_map"), marks=pytest.mark.slow),
         pytest.param(("pixel_read_noise_map", "rts"), marks=pytest.mark.slow),
         pytest.param(("heavy_tails", "rts"), marks=pytest.mark.slow),
         pytest.param(tuple(TRUTH), marks=pytest.mark.slow),

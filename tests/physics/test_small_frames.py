@@ -18,6 +18,7 @@ from cannoise_jax.physics.transfer.photon_transfer import of_all_pixels
 from cannoise_jax.recordings import CaptureSet, Recording
 
 SIZES = ((4, 128), (6, 128), (8, 128), (128, 4), (128, 6), (96, 8), (16, 16))
+DEFAULT = (((128, 4), 0.0), ((4, 128), 0.8), ((16, 16), 0.8))
 GAIN, READ_E, BLACK = 0.5, 4.0, 100.0
 
 
@@ -44,8 +45,19 @@ def capture(size, frames=8, spread=0.0):
     return CaptureSet("made", (*flats, *darks))
 
 
-@pytest.mark.parametrize("size", SIZES, ids=lambda s: f"{s[0]}x{s[1]}")
-@pytest.mark.parametrize("spread", (0.0, 0.8))
+@pytest.mark.parametrize(
+    ("size", "spread"),
+    [
+        pytest.param(
+            size,
+            spread,
+            id=f"{spread}-{size[0]}x{size[1]}",
+            marks=() if (size, spread) in DEFAULT else pytest.mark.slow,
+        )
+        for spread in (0.0, 0.8)
+        for size in SIZES
+    ],
+)
 def test_calibrate_of_small_frames_ends_without_a_fault_of_its_own(size, spread):
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)

@@ -113,6 +113,7 @@ def test_the_model_of_long_darks_has_the_black_level_without_their_charge():
     assert np.mean(model.read_noise_e) == pytest.approx(READ, abs=0.5)
 
 
+@pytest.mark.slow
 def test_error_of_the_line_holds_its_scatter():
     errors = []
     for seed in range(60):

@@ -146,6 +146,7 @@ def test_what_moves_all_of_a_frame_is_no_less_for_four_channels():
         assert np.all(all > 0.8 * one) and np.all(one > 0.3)
 
 
+@pytest.mark.slow
 def test_correlations_of_white_noise_are_zero_within_their_intervals():
     rng, held, values = np.random.default_rng(5), [], []
     for _ in range(60):

@@ -86,7 +86,9 @@ def test_a_dark_between_two_exposures_is_made_of_both():
     assert left.std() < 3 * np.sqrt(np.mean([found.noise(c) for c in range(4)]))
 
 
-@pytest.mark.parametrize("spread", [0.0, 0.02, 0.05])
+@pytest.mark.parametrize(
+    "spread", [0.0, pytest.param(0.02, marks=pytest.mark.slow), pytest.param(0.05, marks=pytest.mark.slow)]
+)
 def test_pixels_that_are_full_below_the_highest_code_are_told_by_their_noise(spread):
     full = 5000 * (1 + spread * np.random.default_rng(5).standard_normal(SIZE))
     camera = Camera(6, full=full)

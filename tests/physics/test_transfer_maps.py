@@ -137,6 +137,7 @@ def test_trifles_do_not_enter(transfer_and_findings, found):
     assert "green_imbalance" not in {f.mechanism for f in found.mechanisms}
 
 
+@pytest.mark.slow
 def test_the_model_gives_back_the_noise_that_was_measured():
     """Crosstalk and telegraph pixels are in the baseline of photon transfer, and must not count twice."""
     camera = BASE.with_mechanism("crosstalk", fraction=0.06)

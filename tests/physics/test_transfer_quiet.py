@@ -34,7 +34,16 @@ def measured(level: float, read: float, gain: float = 0.02):
     return of_all_pixels(transfer)
 
 
-@pytest.mark.parametrize("level", [10.0, 10.21, 10.37, 10.5, 10.93])
+@pytest.mark.parametrize(
+    "level",
+    [
+        10.0,
+        pytest.param(10.21, marks=pytest.mark.slow),
+        pytest.param(10.37, marks=pytest.mark.slow),
+        10.5,
+        pytest.param(10.93, marks=pytest.mark.slow),
+    ],
+)
 @pytest.mark.parametrize("read", [0.05, 0.12, 0.27])
 def test_the_interval_holds_the_noise_before_rounding(level, read):
     found = measured(level, read)
@@ -54,8 +63,16 @@ def test_noise_that_shows_at_two_codes_alone_is_bounded_from_above_only():
     assert isinstance(noise, Estimate) and noise.value == pytest.approx(0.35, rel=0.05)
 
 
-@pytest.mark.parametrize("level", [10.0, 10.5])
-@pytest.mark.parametrize("read, pattern", [(0.05, 0.0), (0.12, 0.3), (0.2, 0.0), (0.3, 0.3)])
+@pytest.mark.parametrize("level", [pytest.param(10.0, marks=pytest.mark.slow), 10.5])
+@pytest.mark.parametrize(
+    "read, pattern",
+    [
+        pytest.param(0.05, 0.0, marks=pytest.mark.slow),
+        (0.12, 0.3),
+        (0.2, 0.0),
+        pytest.param(0.3, 0.3, marks=pytest.mark.slow),
+    ],
+)
 def test_nothing_is_found_that_rounding_alone_makes(level, read, pattern):
     """Noise of single pixels, patterns, hot pixels, a dark current: all of them look like what rounds."""
     rng = np.random.default_rng(7)
@@ -104,7 +121,9 @@ def test_offsets_that_round_are_no_sensitivities_of_a_dim_flat():
     assert {f.mechanism for f in findings if f.verdict == "in the model"} == {"dsnu"}
 
 
-@pytest.mark.parametrize("level", [10.2, 10.37, 10.7])
+@pytest.mark.parametrize(
+    "level", [pytest.param(10.2, marks=pytest.mark.slow), 10.37, pytest.param(10.7, marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("read", [0.16, 0.3])
 def test_the_model_of_darks_below_a_code_has_their_mean_and_the_light_its_own(level, read):
     """A black level between two codes is stored as a mean that light, which dithers, does not stand on."""

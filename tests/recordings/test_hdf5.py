@@ -47,7 +47,7 @@ def spends(path, seconds):
     return ended.returncode < 0
 
 
-@pytest.mark.parametrize("libver", ["earliest", "latest"])
+@pytest.mark.parametrize("libver", ["earliest", pytest.param("latest", marks=pytest.mark.slow)])
 def test_what_has_no_end_is_refused_and_others_are_read_after_it(tmp_path, libver, monkeypatch):
     monkeypatch.setattr(hdf5, "_WAIT_S", 2.0)
     sound, lost = foreign(tmp_path / "sound.h5", libver), endless(tmp_path / "lost.h5", libver)

@@ -53,10 +53,10 @@ def test_the_hidden_rate_comes_back(rate, clamp, hidden):
     "rate, warm, drift, exposures",
     [
         (0.0, 0.0, 0.0, EXPOSURES),
-        (5.0, 0.0, 0.0, EXPOSURES),
-        (0.5, 3.0, 0.0, EXPOSURES),
+        pytest.param(5.0, 0.0, 0.0, EXPOSURES, marks=pytest.mark.slow),
+        pytest.param(0.5, 3.0, 0.0, EXPOSURES, marks=pytest.mark.slow),
         (0.0, 0.0, 0.003, EXPOSURES),
-        (0.0, 0.0, 0.003, (0.01, 10.0)),
+        pytest.param(0.0, 0.0, 0.003, (0.01, 10.0), marks=pytest.mark.slow),
     ],
 )
 def test_a_camera_that_hides_nothing_is_not_called_one(rate, warm, drift, exposures):

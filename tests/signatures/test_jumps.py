@@ -40,7 +40,7 @@ def answer(draw, seed, frames=(8, 16)):
     return merely_noisy(fields, *square_map(fields))
 
 
-@pytest.mark.parametrize("frames", [(8, 16), (10, 10), (6, 30)])
+@pytest.mark.parametrize("frames", [(8, 16), pytest.param((10, 10), marks=pytest.mark.slow), (6, 30)])
 def test_noise_of_each_pixels_own_is_no_jump_and_jumps_are_none(frames):
     for seed in range(3):
         assert answer(noisy, seed, frames)

@@ -49,7 +49,7 @@ def test_events_elsewhere_are_no_telegraph_pixels(rate, height):
     assert SIGNATURES["telegraph"].score(fields).log_p > np.log(1e-3)
 
 
-@pytest.mark.parametrize("read", [3.0, 0.5])
+@pytest.mark.parametrize("read", [pytest.param(3.0, marks=pytest.mark.slow), 0.5])
 def test_its_chance_is_as_stated_also_of_noise_of_few_codes(read):
     told = [fields_of(seed, None, read=read, frames=4) for seed in range(40)]
     p = [np.exp(returning_log_p(fields, everywhere(fields))) for fields in told]

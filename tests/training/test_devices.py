@@ -83,6 +83,7 @@ def test_eight_devices_follow_one_and_must_divide_the_batch(data, alone, tmp_pat
     tell(tables, "eight devices", differ(losses(tmp_path), alone))
 
 
+@pytest.mark.slow
 def test_two_processes_follow_one_stop_together_and_one_resumes(data, alone, tmp_path, tables):
     with socket.socket() as free:
         free.bind(("localhost", 0))
