@@ -40,6 +40,8 @@ _LEAST_SCATTER = 1e-3
 _LEAST = 16
 """Pixels that stand out from which on it can be told: the sum of so many over its root mean square is 4 at
 most."""
+_FIVE = 5.0
+"""Standard deviations by which what is detectable moves a statistic (`Score.shift`)."""
 _MOST_LEFT = 0.45
 """Share left behind beyond which the tail is no smaller than what it is of."""
 _BOUND = 3.18
@@ -149,7 +151,8 @@ def _echoes(held: _Held, told: _Told) -> bool:
 def tail_score(fields: Many, *, axis: int) -> Score[Deferred] | None:
     """Tails along columns (axis 0) or rows (1). Amplitude: share of the charge that comes out late, of a
     pixel in the middle; below 0 in the parameters where it comes out above, or on the left. None where too
-    few pixels stand out."""
+    few pixels stand out to tell, and where they have a tail that the shot noise of flats has not: it may be
+    of the pixels that stand out, or of charge that traps let go one by one."""
     seen = _differences(fields, axis)
     if seen is None or seen.place.size < _LEAST:
         return None
@@ -161,12 +164,30 @@ def tail_score(fields: Many, *, axis: int) -> Score[Deferred] | None:
     if held.inside < _TYPICAL or deferred.share * best.tail[0] <= 0 or _echoes(held, best):
         log_p = 0.0
     if log_p < np.log(_LIKELY) and not _passes(fields, deferred):
-        log_p = 0.0
-    return _score(deferred, log_p, gain, errors, int(seen.place.size))
+        return None  # the tail is there, and is no charge that all packets leave behind
+    least = min(_least_seen(seen, scatter, deferred.length) for scatter in _SCATTER)
+    if log_p == 0.0 and not np.isfinite(least):
+        return None
+    return _score(deferred, log_p, gain, errors, min(least, _MOST_LEFT), int(seen.place.size))
+
+
+def _least_seen(seen: _Differences, scatter: float, length: float) -> float:
+    """A fifth of the share left behind whose sum is, over its root mean square, five; infinite where so few
+    pixels stand out that none is: the sum of n alike is at most the root of n. scatter: of the tails."""
+    tail = _tail(length)
+    variance = (seen.error**2 + scatter**2) / float(np.sum(tail**2))
+    one, two = float(np.sum(1 / variance)), float(np.sum(variance**-2.0))
+    # A first share a moves the sum by a times `one`, and its mean square by a^2 times `two`.
+    room = one**2 - _FIVE**2 * two
+    if room <= 0:
+        return np.inf
+    first = _FIVE * np.sqrt(one / room)
+    kept = first / float(1 - np.exp(-1 / length))
+    return float(kept / (1 + kept) / _FIVE)
 
 
 def _score(
-    found: Deferred, log_p: float, gain: float, errors: tuple[float, float, float], pixels: int
+    found: Deferred, log_p: float, gain: float, errors: tuple[float, float, float], least: float, pixels: int
 ) -> Score[Deferred]:
     return Score(
         log_p=max(log_p, LEAST_LOG_P),
@@ -174,7 +195,7 @@ def _score(
         penalty=ONE_PARAMETER + 2 * ONE_OF_SEVERAL,
         amplitude=abs(found.share),
         error=errors[0],
-        shift=errors[0],
+        shift=least,
         power=1,
         parameters={
             "fraction": (found.share, "1", errors[0]),

@@ -11,7 +11,7 @@ from scipy import stats
 from cannoise_jax.signatures.deferred import Deferred, put_back, shifted_out, taken_back
 from cannoise_jax.signatures.tails import tail_score
 from tests.discovery.drawn import standing_out
-from tests.discovery.looks import SIGNATURES
+from tests.discovery.looks import SIGNATURES, white
 from tests.discovery.planted import with_tails
 from tests.discovery.test_signature_laws import UNLIKELY, off_by
 
@@ -30,7 +30,28 @@ def test_a_tail_is_found_with_its_size_and_its_error(axis):
 @BOTH
 def test_nothing_is_said_of_the_other_axis(axis):
     scores = [tail_score(with_tails(axis, 0.1, seed), axis=1 - axis) for seed in range(10)]
-    assert min(s.log_p for s in scores) > np.log(1e-3)
+    assert min(s.log_p for s in scores if s is not None) > np.log(1e-3)
+
+
+def many(seed, share, dense=0.02):
+    """Darks with hundreds of hot pixels, or few, of which each leaves a share to the next one down."""
+    rng, size = np.random.default_rng([5, seed]), (96, 128)
+    hot = np.where(rng.random(size) < dense, 20 + rng.exponential(60.0, size), 0.0)
+    late = (1 - share) * hot + share * np.roll(hot, 1, 0)
+    fields = white(rng, kinds=("dark",), frames=6, size=size)
+    return tuple(f._replace(static=(f.static + late).astype(np.float32)) for f in fields)
+
+
+def test_what_is_said_to_be_detectable_is_detected():
+    """The sum of the signs of n differences is at most the root of n: few pixels exclude nothing."""
+    assert all(tail_score(many(seed, 0.0, dense=0.0018), axis=0) is None for seed in range(4))
+    seen = []
+    for seed in range(8):
+        least = tail_score(many(seed, 0.0), axis=0).mde
+        assert 0 < least < 0.2
+        told = tail_score(many(seed, least), axis=0)
+        seen.append(told is not None and told.log_p < -9)
+    assert sum(seen) >= 3
 
 
 def turned(fields):
@@ -67,7 +88,7 @@ def test_what_lies_on_both_sides_is_no_tail(by):
         laid = {"spread": partial(spread, share=0.2), "pairs": partial(in_pairs, rng=rng)}
         more = laid.get(by, partial(np.add, level.get(by, 0.0)))
         moved = tuple(f._replace(static=more(f.static).astype(np.float32)) for f in fields)
-        p += [np.exp(s.log_p) for axis in (0, 1) if (s := tail_score(moved, axis=axis)) is not None]
+        p += [np.exp(s.log_p) if (s := tail_score(moved, axis=axis)) else 1.0 for axis in (0, 1)]
     assert len(p) > 12 and stats.kstest(p, "uniform", alternative="greater").pvalue > 1e-4
 
 
