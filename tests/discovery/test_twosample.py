@@ -72,7 +72,8 @@ def test_where_no_number_of_patches_tells_the_control_each_decides_alone():
     assert all(reached < 0.6 for size, reached in out if size == 1)
 
 
-@pytest.mark.parametrize("size", [1, pytest.param(8, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [1, 8])
 def test_intervals_hold_the_area_of_equal_laws_with_few_judged_frames(size):
     rng = np.random.default_rng(3)
     held = []
