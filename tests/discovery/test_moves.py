@@ -62,7 +62,10 @@ def remembering(memory):
     return alter
 
 
-@pytest.mark.parametrize(("alter", "doubted"), [(remembering(0.8), True), (row_offsets(SIGMA), False)])
+@pytest.mark.parametrize(
+    ("alter", "doubted"),
+    [(remembering(0.8), True), pytest.param(row_offsets(SIGMA), False, marks=pytest.mark.slow)],
+)
 def test_rows_that_remember_the_frame_before_are_no_row_noise(alter, doubted):
     full, less = drawn(alter, "row_noise", sigma_dn=SIGMA)
     found = forgetful(full, borne_by(full, less))
@@ -84,7 +87,7 @@ def jumping(levels):
     return alter
 
 
-@pytest.mark.parametrize(("levels", "doubted"), [(3, True), (2, False)])
+@pytest.mark.parametrize(("levels", "doubted"), [(3, True), pytest.param(2, False, marks=pytest.mark.slow)])
 def test_pixels_of_three_levels_are_no_telegraph_pixels(levels, doubted):
     found = two_levels_enough(jumping(levels))
     assert (found is not None) == doubted

@@ -64,6 +64,7 @@ def test_patches_of_a_decision_grow_until_the_control_is_told():
     assert 1 < size <= 12 and reached >= 0.6
 
 
+@pytest.mark.slow
 def test_where_no_number_of_patches_tells_the_control_each_decides_alone():
     """Few large decisions reach 0.6 by chance in many sets: that is no control."""
     rng = np.random.default_rng(2)
