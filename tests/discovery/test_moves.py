@@ -64,7 +64,7 @@ def remembering(memory):
 
 @pytest.mark.parametrize(
     ("alter", "doubted"),
-    [(remembering(0.8), True), pytest.param(row_offsets(SIGMA), False, marks=pytest.mark.slow)],
+    [(remembering(0.8), True), (row_offsets(SIGMA), False)],
 )
 def test_rows_that_remember_the_frame_before_are_no_row_noise(alter, doubted):
     full, less = drawn(alter, "row_noise", sigma_dn=SIGMA)
@@ -87,7 +87,7 @@ def jumping(levels):
     return alter
 
 
-@pytest.mark.parametrize(("levels", "doubted"), [(3, True), pytest.param(2, False, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("levels", "doubted"), [(3, True), (2, False)])
 def test_pixels_of_three_levels_are_no_telegraph_pixels(levels, doubted):
     found = two_levels_enough(jumping(levels))
     assert (found is not None) == doubted
