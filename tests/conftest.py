@@ -88,7 +88,7 @@ REAL_DATA = Path(os.environ.get("CANNOISE_DATA", ROOT.parent / "shared" / "data"
 
 
 def pytest_addoption(parser):
-    parser.addoption("--slow", action="store_true", help="also run the tests that take minutes")
+    parser.addoption("--slow", action="store_true", help="also run long proofs and further variants")
     parser.addoption("--cases", type=int, default=10_000, help="of the long run of the fuzzer")
     parser.addoption("--first-seed", type=int, default=1_000, help="of that run")
     parser.addoption("--minutes", type=float, default=1e6, help="after which no more trainings are killed")

@@ -156,6 +156,7 @@ def test_latents_of_several_references_are_averaged(model):
     np.testing.assert_allclose(latent, wanted, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_no_seam_in_row_and_column_means(model):
     """Means over many draws of a flat scene are as flat at the border and at every cell as inside."""
     clean = jnp.full((30, 62, 4), 0.1)
@@ -173,6 +174,7 @@ def test_no_seam_in_row_and_column_means(model):
         assert np.all(np.abs(spread / spread[inside].mean(0) - 1) < 0.3)
 
 
+@pytest.mark.slow
 def test_the_papers_networks_see_an_image_as_in_training():
     """Their norms reach over the whole image: what they give is what they give on a patch of that size."""
     generator, encoder = Generator(WIDTH, literal=True), Encoder(WIDTH, literal=True)

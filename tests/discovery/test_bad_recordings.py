@@ -231,6 +231,7 @@ def test_read_noise_far_below_a_code_is_no_finding():
     assert found(capture_set(7, kinds="df", size=SIZE, gain=0.1)) == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drift", [0.2])
 def test_strong_drift_of_the_lamp_is_named(drift):
     def alter(rng):

@@ -117,7 +117,7 @@ def test_clamped_peaks_are_told_from_pits():
     assert rejects(found["peaks"]) and found["peaks"].amplitude > 0.7
 
 
-@pytest.mark.parametrize("kept", [0.03, 0.1])
+@pytest.mark.parametrize("kept", [pytest.param(0.03, marks=pytest.mark.slow), 0.1])
 def test_charge_left_behind_has_its_share(kept):
     def lag(e, rng, kind, seconds):
         before = np.concatenate([np.zeros_like(e[:1]), e[:-1]])

@@ -173,7 +173,7 @@ def test_the_minimum_detectable_row_noise_is_that_of_its_signature():
 
 
 def test_what_a_sensor_model_has_already_is_no_mismatch():
-    capture = capture_set(14, row_offsets(2.0), kinds="df")
+    capture = capture_set(14, row_offsets(2.0), kinds="d")
     plain = SensorModel.poisson_gaussian(1.5, 3.0, 200.0, 16383.0)
     full = plain.with_mechanism("row_noise", sigma_dn=2.0)
     assert run(capture, simulator=plain).findings == ["row_noise"]

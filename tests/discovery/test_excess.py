@@ -103,7 +103,9 @@ def hot_of(recorded, drawn):
     return [found for found in excess(own, looking) if found.mechanism == "hot_pixels"]
 
 
-@pytest.mark.parametrize("times, sign", [(0.4, "too little"), (2.5, "too much")])
+@pytest.mark.parametrize(
+    "times, sign", [pytest.param(0.4, "too little", marks=pytest.mark.slow), (2.5, "too much")]
+)
 def test_pixels_of_the_same_unit_are_told_too_weak_or_too_strong(times, sign):
     (found,) = hot_of(warm(1.0), warm(times))
     assert found.sign == sign

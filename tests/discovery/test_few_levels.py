@@ -33,7 +33,7 @@ def curve_of(alter, seed):
     return signature.score(prepared.fields)
 
 
-@pytest.mark.parametrize("share", [0.1, 0.3])
+@pytest.mark.parametrize("share", [0.1, pytest.param(0.3, marks=pytest.mark.slow)])
 def test_a_variance_that_leaves_the_line_is_found(share):
     score = curve_of(louder(share), 5)
     assert score is not None and score.log_p < np.log(1e-8)

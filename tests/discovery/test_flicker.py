@@ -50,6 +50,14 @@ def test_strong_flicker_is_named_and_does_not_bend_the_photon_transfer_curve(kin
     assert found.mechanism == "flicker"
     assert found.score.amplitude == pytest.approx(0.2 * 0.94, rel=0.05)
     assert found.score.where["period_px"] == pytest.approx(PERIOD, rel=0.05)
+    (said,) = (
+        dict(m.parameters)
+        for m in extended_model(capture, first, fitted.steps).mechanisms
+        if m.record.id == "flicker"
+    )
+    got = np.array([said["amplitude"] * said[f"share_{s}"] for s in ("00", "01", "10", "11")], float)
+    np.testing.assert_allclose(got / got[0], [1.0, 0.95, 0.95, 0.85], rtol=0.02)
+    assert got.mean() == pytest.approx(0.2 * 0.94, rel=0.05)
 
 
 @pytest.mark.slow
@@ -118,6 +126,7 @@ def test_row_noise_is_measured_beside_a_lamp_that_flickers_in_no_sinusoid():
     assert found["row_noise"].amplitude == pytest.approx(1.0, rel=0.08)
 
 
+@pytest.mark.slow
 def test_each_colours_own_wave_is_in_the_model():
     """Blue is a quarter stronger and later than green, as phosphors are: one wave would miss by far more than
     the noise."""

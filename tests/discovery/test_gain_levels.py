@@ -81,7 +81,7 @@ def test_a_level_is_judged_against_what_is_stated_at_its_gain(stated, off):
         assert score.amplitude == pytest.approx(off, abs=0.5) and score.log_p < np.log(1e-6)
 
 
-@pytest.mark.parametrize("charge", [0.0, 100.0])
+@pytest.mark.parametrize("charge", [pytest.param(0.0, marks=pytest.mark.slow), 100.0])
 def test_the_charge_of_the_darks_is_left_out_of_the_level_of_every_gain(charge):
     """Levels of 100 and 300 DN, measured on darks of a second that hold 100 electrons, or none."""
     measured = np.array([[100.0] * 4, [300.0] * 4]) + charge * np.array([[0.5], [4.0]])

@@ -44,6 +44,7 @@ def warm(height, *, offsets=0.0, hot=0.0):
     return alter
 
 
+@pytest.mark.slow
 def test_a_glow_grows_from_a_bias_of_no_exposure():
     found = diagnose(with_bias(capture_set(90, warm(60.0, hot=0.003), kinds="df")), compare=False)
     steps = {s.named.mechanism: s.named.score for s in found.fitted.steps}

@@ -219,7 +219,7 @@ def test_pixels_that_jump_are_off_in_the_mean_too(jumping):
     assert scores["telegraph"].payload == jumping
 
 
-@pytest.mark.parametrize("frames", [4, 12])
+@pytest.mark.parametrize("frames", [4, pytest.param(12, marks=pytest.mark.slow)])
 def test_pixels_in_either_level_half_of_the_time_are_no_hot_ones(frames):
     """However many frames make their mean sure, beside row noise and column offsets."""
 

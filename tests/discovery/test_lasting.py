@@ -17,7 +17,9 @@ from tests.discovery.capture import capture_set
 SIGMA = 1.5
 
 
-@pytest.mark.parametrize("stays", ["in all recordings", "in each by itself"])
+@pytest.mark.parametrize(
+    "stays", [pytest.param("in all recordings", marks=pytest.mark.slow), "in each by itself"]
+)
 def test_rows_that_differ_from_recording_to_recording_are_no_fixed_pattern(stays):
     """Means of rows of equal variance in every recording, the same ones or others."""
     rng = np.random.default_rng(8)
@@ -43,7 +45,7 @@ def test_rows_that_differ_from_recording_to_recording_are_no_fixed_pattern(stays
         assert found.left > 0.6 and "in common" in found.against[0]
 
 
-@pytest.mark.parametrize("flats", ["as the darks", "of their own"])
+@pytest.mark.parametrize("flats", [pytest.param("as the darks", marks=pytest.mark.slow), "of their own"])
 def test_columns_that_darks_share_and_flats_have_not_are_no_fixed_pattern(flats):
     """Darks of one level cannot tell offsets of columns from errors of their converters, which are another
     one's at another level."""

@@ -74,6 +74,7 @@ def test_drift_of_colour_is_found_beside_that_of_brightness_and_simulated():
     )
 
 
+@pytest.mark.slow
 def test_steady_light_has_no_drift():
     assert not looked_at(None)[2].steps
 

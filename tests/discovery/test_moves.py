@@ -62,7 +62,10 @@ def remembering(memory):
     return alter
 
 
-@pytest.mark.parametrize(("alter", "doubted"), [(remembering(0.8), True), (row_offsets(SIGMA), False)])
+@pytest.mark.parametrize(
+    ("alter", "doubted"),
+    [(remembering(0.8), True), (row_offsets(SIGMA), False)],
+)
 def test_rows_that_remember_the_frame_before_are_no_row_noise(alter, doubted):
     full, less = drawn(alter, "row_noise", sigma_dn=SIGMA)
     found = forgetful(full, borne_by(full, less))

@@ -51,7 +51,7 @@ def test_the_black_level_of_the_model_is_that_of_no_exposure(found):
     assert np.asarray(found.model.read_noise_e)[0] == pytest.approx([READ] * 4, rel=0.08)
 
 
-@pytest.mark.parametrize("charge", [0.0, 90.0])
+@pytest.mark.parametrize("charge", [pytest.param(0.0, marks=pytest.mark.slow), 90.0])
 def test_light_of_flats_is_asked_for_by_their_mean(charge):
     """Whatever a simulator adds to it, the mean of its draws is that of the recording."""
     capture = series(2, exposures=(1.0, 2.0))

@@ -116,9 +116,10 @@ def sampled(own, sigma):
     return alter
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "own, sigma",
-    [(THIRD, 1.5), pytest.param(BLOCKS, 3.0, marks=pytest.mark.slow)],
+    [(THIRD, 1.5), (BLOCKS, 3.0)],
     ids=["third rows", "blocks"],
 )
 def test_it_is_found_named_fitted_proved_and_simulated(own, sigma):

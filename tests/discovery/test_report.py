@@ -192,7 +192,7 @@ def test_page_says_it_all_and_loads_nothing(found, report):
 @pytest.mark.parametrize(
     "kinds, frames",
     [
-        ("d", 1),
+        pytest.param("d", 1, marks=pytest.mark.slow),
         ("s", 1),
         pytest.param("f", 2, marks=pytest.mark.slow),
         pytest.param("d", 2, marks=pytest.mark.slow),
@@ -245,6 +245,7 @@ class Counted:
         return frames
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_number_of_frames():
     peaks = []
     for count in (64, 200):  # in both, so many that the same is found

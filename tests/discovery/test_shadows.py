@@ -144,6 +144,7 @@ def test_a_wide_deep_shadow_does_not_bend_the_surface_beside_it():
     assert np.mean(flat.dust) < 2 * np.mean(deep < 0.99)
 
 
+@pytest.mark.slow
 def test_shadows_in_the_light_are_no_mismatch_of_the_simulator():
     """The layer draws flats under the light that they had, shadows in it."""
     capture = recordings(1 + dust())

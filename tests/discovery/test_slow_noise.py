@@ -42,6 +42,7 @@ def test_means_of_frames_that_move_with_slow_noise_are_part_of_it():
     assert {"offset_drift", finding["mechanism"]} <= {m.mechanism for m in diagnosis.model.mechanisms}
 
 
+@pytest.mark.slow
 def test_a_drift_beyond_the_slow_noise_is_a_finding_of_its_own():
     found = diagnose(capture_set(22, continued(1.0, drift=5.0)), compare=False).findings
     assert "offset_drift" in found and found[0] != found[-1]

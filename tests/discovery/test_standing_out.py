@@ -62,6 +62,7 @@ def test_a_dark_current_is_what_a_glow_leaves_of_the_level(seed):
     assert "amp_glow" in strength
 
 
+@pytest.mark.slow
 def test_hits_of_the_frames_before_are_out_of_those_held_back():
     """What was hit before lies far from its mean in all frames that are seen against it. One hit that is left
     in one of the sets would be noise of its row."""

@@ -23,7 +23,9 @@ def adds(image):
     return lambda rng: lambda dn, signal, kind, exposure: dn + image
 
 
-@pytest.mark.parametrize("taps, axis", [(QUARTERS, "block"), (STRIPS, "column")])
+@pytest.mark.parametrize(
+    "taps, axis", [(QUARTERS, "block"), pytest.param(STRIPS, "column", marks=pytest.mark.slow)]
+)
 def test_offsets_of_regions_are_found_with_their_strength(taps, axis):
     image = taps.image(SIZE)
     found = diagnose(capture_set(41, adds(image), kinds="df"), compare=False)
@@ -82,7 +84,7 @@ def taps(layout, sigma):
 @pytest.mark.parametrize(
     "layout",
     [
-        (1, 4),
+        pytest.param((1, 4), marks=pytest.mark.slow),
         (2, 2),
         pytest.param((1, 3), marks=pytest.mark.slow),
         pytest.param((2, 1), marks=pytest.mark.slow),
@@ -119,7 +121,12 @@ def tiles(rng):
 
 @pytest.mark.parametrize(
     "image",
-    [tear, pytest.param(clouds, marks=pytest.mark.slow), pytest.param(fall, marks=pytest.mark.slow), tiles],
+    [
+        pytest.param(tear, marks=pytest.mark.slow),
+        pytest.param(clouds, marks=pytest.mark.slow),
+        pytest.param(fall, marks=pytest.mark.slow),
+        tiles,
+    ],
 )
 def test_other_fields_that_move_are_no_regions(image):
     found = diagnose(capture_set(45, anew(image), kinds="df"), compare=False)
@@ -200,7 +207,7 @@ SPOTS = -0.02 * np.exp(-((X - 30) ** 2 + (Y - 50) ** 2) / 60) - 0.015 * np.exp(
     [
         pytest.param(0.0, 0.0, marks=pytest.mark.slow),
         (0.0, 0.004),
-        (SPOTS, 0.0),
+        pytest.param(SPOTS, 0.0, marks=pytest.mark.slow),
         pytest.param(0.004 * np.sin(X / 5 + Y / 17), 0.0, marks=pytest.mark.slow),
         pytest.param(0.006 * (X > 77), 0.0, marks=pytest.mark.slow),
     ],

@@ -64,6 +64,7 @@ def test_patches_of_a_decision_grow_until_the_control_is_told():
     assert 1 < size <= 12 and reached >= 0.6
 
 
+@pytest.mark.slow
 def test_where_no_number_of_patches_tells_the_control_each_decides_alone():
     """Few large decisions reach 0.6 by chance in many sets: that is no control."""
     rng = np.random.default_rng(2)
@@ -72,7 +73,8 @@ def test_where_no_number_of_patches_tells_the_control_each_decides_alone():
     assert all(reached < 0.6 for size, reached in out if size == 1)
 
 
-@pytest.mark.parametrize("size", [1, pytest.param(8, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [1, 8])
 def test_intervals_hold_the_area_of_equal_laws_with_few_judged_frames(size):
     rng = np.random.default_rng(3)
     held = []

@@ -88,6 +88,7 @@ def test_wrong_references_cost_and_latents_are_of_every_patch(request_):
     assert 0 <= share.value <= 1 and share == latents["nothing"]["same camera among the 5 nearest"]
 
 
+@pytest.mark.slow
 def test_levels_beyond_the_prior_are_those_of_the_estimate_without_learning(request_):
     bench = beyond_bench(1, 4)
     outcome = iso_suite(dataclasses.replace(request_, beyond=bench))

@@ -273,7 +273,7 @@ def test_a_diagnosis_that_is_killed_leaves_whole_reports(worker, tmp_path, table
     assert count > SOME // 2
 
 
-@pytest.mark.parametrize("size", [100, 3_000])
+@pytest.mark.parametrize("size", [100, pytest.param(3_000, marks=pytest.mark.slow)])
 def test_training_on_a_full_disk_is_one_line_and_resumes(worker, tmp_path, size):
     full = Case("", "read:tests.fuzz.killed.train_on_a_full_disk", [str(tmp_path), str(size)])
     answer = worker.run(full, tmp_path, 120)

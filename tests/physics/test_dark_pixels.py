@@ -46,7 +46,11 @@ def calibrated(captures):
 
 @pytest.mark.parametrize(
     ("rate", "variation", "hot"),
-    [(0.5, 0.6, 1e-3), (5.0, 0.8, 2e-3), pytest.param(5.0, 1.0, 0.0, marks=pytest.mark.slow)],
+    [
+        pytest.param(0.5, 0.6, 1e-3, marks=pytest.mark.slow),
+        (5.0, 0.8, 2e-3),
+        pytest.param(5.0, 1.0, 0.0, marks=pytest.mark.slow),
+    ],
 )
 def test_the_tail_of_the_dark_currents_is_not_hot(rate, variation, hot):
     """Currents, their spread and hot pixels come back, and a camera drawn anew has the darks' quantiles."""
@@ -79,7 +83,7 @@ def test_the_tail_of_the_dark_currents_is_not_hot(rate, variation, hot):
         (0.0, 2),
         pytest.param(0.3, 3, marks=pytest.mark.slow),
         pytest.param(0.5, 2, marks=pytest.mark.slow),
-        (1.0, 2),
+        pytest.param(1.0, 2, marks=pytest.mark.slow),
     ],
 )
 def test_few_frames_tell_the_mean_and_the_spread_of_dark_currents(variation, frames):

@@ -24,7 +24,9 @@ from cannoise_jax.recordings.recording import CaptureSet, Recording
 SIZE, RATE = (96, 128), 20.0
 
 
-@pytest.fixture(scope="module", params=[1.0, 0.01], ids=["long", "short"])
+@pytest.fixture(
+    scope="module", params=[pytest.param(1.0, marks=pytest.mark.slow), 0.01], ids=["long", "short"]
+)
 def calibrated(request):
     """Flats and darks of one exposure, and darks of two more, of a camera with dark current."""
     camera = SensorModel.poisson_gaussian(2.0, 3.0, 100.0, 16383.0, "RGGB").with_mechanism(

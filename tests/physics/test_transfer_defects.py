@@ -83,7 +83,9 @@ def test_dead_and_stuck_pixels_are_named_and_left_out(caplog):
     assert np.abs(bright[dead] - BLACK).max() < 5 < bright[~dead].min() - BLACK
 
 
-@pytest.mark.parametrize("lines", [np.s_[:, :6], np.s_[5:12, :]], ids=["columns", "rows"])
+@pytest.mark.parametrize(
+    "lines", [np.s_[:, :6], pytest.param(np.s_[5:12, :], marks=pytest.mark.slow)], ids=["columns", "rows"]
+)
 def test_masked_lines_at_code_0_are_no_level_and_no_cut(lines, caplog):
     def masked(codes, dark):
         codes = codes.copy()

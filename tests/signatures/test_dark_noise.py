@@ -55,7 +55,7 @@ def test_the_hidden_rate_comes_back(rate, clamp, hidden):
         (0.0, 0.0, 0.0, EXPOSURES),
         pytest.param(5.0, 0.0, 0.0, EXPOSURES, marks=pytest.mark.slow),
         pytest.param(0.5, 3.0, 0.0, EXPOSURES, marks=pytest.mark.slow),
-        (0.0, 0.0, 0.003, EXPOSURES),
+        pytest.param(0.0, 0.0, 0.003, EXPOSURES, marks=pytest.mark.slow),
         pytest.param(0.0, 0.0, 0.003, (0.01, 10.0), marks=pytest.mark.slow),
     ],
 )

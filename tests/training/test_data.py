@@ -84,7 +84,7 @@ def test_no_frame_is_in_two_splits(config, tmp_path):
     assert not (train & validation or train & test or validation & test)
 
 
-@pytest.mark.parametrize("count", [3, 6])
+@pytest.mark.parametrize("count", [3, pytest.param(6, marks=pytest.mark.slow)])
 def test_few_darks_are_enough(count, config, tmp_path):
     config.data.recordings = (str(write_camera(tmp_path / "a", "RGGB", 2.0, dark_frames=count)),)
     config.loss.triplet = 0.0

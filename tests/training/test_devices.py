@@ -73,6 +73,7 @@ def tell(tables, what, largest):
     tables.add("several_devices", columns, [(what, f"{largest:.1g}")], CODE)
 
 
+@pytest.mark.slow
 def test_eight_devices_follow_one_and_must_divide_the_batch(data, alone, tmp_path, tables):
     program = start(tmp_path, data[1], devices=8)
     printed, errors = program.communicate(timeout=600)
@@ -95,6 +96,56 @@ def test_two_processes_follow_one_stop_together_and_one_resumes(data, alone, tmp
         assert printed.split()[-1] == str(STOP)  # one had the signal
     assert run(tmp_path, data[0]).finished
     tell(tables, "two processes, resumed by one", differ(losses(tmp_path), alone))
+
+
+TOGETHER = """
+import sys
+import jax, numpy as np
+from cannoise_jax.recordings.recording import BadInput
+from cannoise_jax.training import devices
+from cannoise_jax.training.state import abstract_state
+from cannoise_jax.training.step import make_train_step
+from tests.training.shared_run import config
+from tests.training.test_step import make_batch
+number = int(sys.argv[2])
+devices.join(sys.argv[1], 2, number)
+mesh = devices.make_mesh(0, 8)
+assert mesh.size == 4 and devices.is_first() == (number == 0)
+try:
+    devices.make_mesh(0, 6)
+except BadInput as error:
+    assert "config.batch_size: 6: 4 devices share a batch" in str(error)
+else:
+    raise AssertionError
+rows = np.arange(24.0, dtype=np.float32).reshape(8, 3)
+shared = devices.shared_out({"x": rows[4 * number :][:4]}, mesh)["x"]
+weights = devices.copied(np.float32([1, 2, 3]) * (1 + number), mesh)  # those of the first
+slope = jax.grad(lambda w, x: ((x @ w) ** 2).mean())
+slope = jax.jit(slope, out_shardings=devices.everywhere(mesh))(weights, shared)
+np.testing.assert_allclose(devices.own_copy(slope, mesh), 2 * rows.T @ (rows @ [1, 2, 3]) / 8)
+assert devices.any_process(number == 1) and not devices.any_process(False)
+state = abstract_state(config(), 2)
+after, _ = jax.eval_shape(make_train_step(config(), 2, None, mesh), state, make_batch(8))
+assert jax.tree.structure(after) == jax.tree.structure(state)
+devices.leave()
+"""
+
+
+def test_processes_share_a_batch_and_what_is_to_be_done():
+    """Two of two devices each, without a training: sums over the batch, the first's numbers, one's signal."""
+    with socket.socket() as free:
+        free.bind(("localhost", 0))
+        address = f"localhost:{free.getsockname()[1]}"
+    flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=2"
+    programs = [
+        subprocess.Popen(
+            [sys.executable, "-c", TOGETHER, address, str(n)],
+            cwd=ROOT, env={**os.environ, "XLA_FLAGS": flags}, text=True, stderr=subprocess.PIPE,
+        )
+        for n in range(2)
+    ]  # fmt: skip
+    ended = [(program.communicate(timeout=300)[1], program.returncode) for program in programs]
+    assert [status for _, status in ended] == [0, 0], ended
 
 
 def test_devices_that_are_not_there_are_refused():
