@@ -179,9 +179,7 @@ def check_fields(recording: Recording) -> None:
         value = getattr(recording, name)
         if not (value is None and name == "clean" or hasattr(value, "shape") and hasattr(value, "dtype")):
             raise BadInput(f"{place}: {name} is a {type(value).__name__}: give an array")
-    shape = tuple(recording.frames.shape)
-    if len(shape) != 3:
-        raise BadInput(f"{place}: frames has shape {shape}: give [T, H, W], one frame as [1, H, W]")
+    _check_shape(place, recording.frames)
     for name in _NUMBERS:
         value = getattr(recording, name)
         if any(isinstance(v, str | bytes) for v in (value if isinstance(value, tuple | list) else (value,))):
@@ -256,9 +254,13 @@ def reading(path: str | Path, failure: str) -> Iterator[None]:
         raise BadInput(f"{path}: {failure}: {reason}: {remedy}") from error
 
 
-def _check_frames(path: str | Path, frames: Frames) -> None:
+def _check_shape(path: str | Path, frames: Frames) -> None:
     if len(frames.shape) != 3:
         raise BadInput(f"{path}: frames have shape {tuple(frames.shape)}: expected [frames, rows, columns]")
+
+
+def _check_frames(path: str | Path, frames: Frames) -> None:
+    _check_shape(path, frames)
     if frames.dtype != np.uint16:
         raise BadInput(f"{path}: frames are {frames.dtype}: expected the sensor's own values as uint16")
     if frames.shape[0] == 0:

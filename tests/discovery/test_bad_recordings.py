@@ -54,7 +54,7 @@ def test_names_that_are_none_are_refused_in_one_line(more, said):
 def test_frames_of_another_shape_and_what_is_no_list_are_refused_in_one_line():
     capture = capture_set(1, kinds="d")
     for frames in (np.asarray(capture.recordings[0].frames)[0], np.uint16(3)):
-        with pytest.raises(BadInput, match=r"frames has shape .*: give \[T, H, W\]"):
+        with pytest.raises(BadInput, match=r"frames have shape .*: expected \[frames, rows, columns\]"):
             diagnose(of_first(capture, frames=frames))
     with pytest.raises(TypeError, match="is a single Recording: give a tuple"):
         diagnose(CaptureSet("c", capture.recordings[0]))
