@@ -14,6 +14,9 @@ from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.signatures.signature import Signature
 from cannoise_jax.vocabulary import UNKNOWN
 
+_SHOWN = 6
+"""Names that a message lists."""
+
 
 def registered(
     without: Sequence[str] = (), mechanisms: Sequence[str | Entry] | None = None
@@ -35,11 +38,10 @@ def registered(
     wanted = None if mechanisms is None else {m if isinstance(m, str) else m.id for m in mechanisms}
     for id in (*without, *(wanted or ())):
         if id not in known:
-            near = get_close_matches(id, known, n=1)
-            raise ValueError(
-                f"{id}: no such mechanism: "
-                + (f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}")
-            )
+            near, some = get_close_matches(id, known, n=1), ", ".join(list(known)[:_SHOWN])
+            others = f"{len(known) - _SHOWN} more: bin/simulate --catalogue --out FILE shows them"
+            said = f"did you mean {near[0]}?" if near else f"known: {some} and {others}"
+            raise ValueError(f"{id}: no such mechanism: {said}")
     return tuple(e for id, e in known.items() if id not in without and (wanted is None or id in wanted))
 
 
