@@ -19,8 +19,7 @@ def test_figures_are_compared_in_their_own_direction():
     assert not worse({**good, "named": 6, "errors": 4}, good)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["fast", "slow"])
+@pytest.mark.parametrize("name", ["fast", pytest.param("slow", marks=pytest.mark.slow)])
 def test_development_sets_come_out_no_worse_than_recorded(name, tmp_path):
     if name not in RECORDED:
         pytest.skip("no figures yet: bin/blind develop --slow --figures tests/blind/recorded.json")
