@@ -31,7 +31,8 @@ from tests.discovery.naive_limits import (
 )  # fmt: skip
 
 FIRST = ("row_noise", "dsnu", "heavy_tails")
-REST = tuple(m for m in CASES if m not in FIRST)
+OTHERS = ("prnu", "banding", "channel_offset", "green_imbalance", "crosstalk", "pixel_read_noise_map")
+REST = (*OTHERS, *(m for m in CASES if m not in (*FIRST, *OTHERS)))
 
 
 SHIFT = "shift of the likelihood ratio, standard deviations"
