@@ -213,7 +213,7 @@ ENTRIES: tuple[Entry, ...] = (
     ),
     Entry(
         Term("banding",
-             "A sinusoid of fixed frequency in the raster scan: interference pick-up.",
+             "A sinusoid of fixed frequency across the frame: interference pick-up.",
              33, "sensor", "DN", "peak, DN", listed=22),
         mechanism_from_grammar(
             Point("readout", "signal", "raster", "redrawn", spectrum="sinusoid"), id="banding", default=0.5,
@@ -226,12 +226,12 @@ ENTRIES: tuple[Entry, ...] = (
         needs="two frames or more at one setting",
         signatures=looks.always(
             looks.waves.interference("redrawn", name="wave_redrawn", parameter="amplitude_dn",
-                lines=imprints.ROWS_AND_COLUMNS),
+                lines=imprints.ROWS_AND_COLUMNS, alike=imprints.WAVES),
             # A supply brings its harmonics along.
             looks.waves.interference("redrawn", name="wave_redrawn_2", parameter="amplitude_dn",
-                lines=imprints.ROWS_AND_COLUMNS, after="wave_redrawn"),
+                lines=imprints.ROWS_AND_COLUMNS, alike=imprints.WAVES, after="wave_redrawn"),
             looks.waves.interference("redrawn", name="wave_redrawn_3", parameter="amplitude_dn",
-                lines=imprints.ROWS_AND_COLUMNS, after="wave_redrawn_2"),
+                lines=imprints.ROWS_AND_COLUMNS, alike=imprints.WAVES, after="wave_redrawn_2"),
             looks.waves.interference("frozen", name="wave_frozen", parameter="amplitude_dn"),
         ),
         estimator=Estimator(spectra.banding, white=True, searched=True, beside=spectra.beside_rows),

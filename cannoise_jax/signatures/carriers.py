@@ -12,6 +12,9 @@ from cannoise_jax.physics.core.places import Site
 _STEPS, _AROUND = (0.1, 0.02), 5
 """Periods in the frame by which a frequency is refined, one after the other, and how many steps to either
 side."""
+_STRAIGHT = 0.1
+"""Periods in the frame below which a wave does not change along a line: the weakest that are found have their
+frequency to so much."""
 
 
 def refined(fields: Sequence[Float[np.ndarray, "n h w"]], near: tuple[float, float]) -> tuple[float, float]:
@@ -30,23 +33,22 @@ def refined(fields: Sequence[Float[np.ndarray, "n h w"]], near: tuple[float, flo
             power += np.abs(down @ v @ across.T) ** 2
         i, j = np.unravel_index(int(np.argmax(power)), power.shape)
         fy, fx = float(y[i]), float(x[j])
-    return fy, fx
+    return one_way(fy, fx)
 
 
-def raster_frequency(fy: float, fx: float, width: int) -> float:
-    """Cycles per pixel of the scan whose aliases are the plane wave (fy, fx): f = fx + n / width nearest to
-    fy."""
-    turns = np.round(fx * width - fy)
-    f = abs((turns + fy) / width)
-    return float(min(f, 1 - f) if f <= 1 else f % 0.5)
+def one_way(fy: float, fx: float) -> tuple[float, float]:
+    """The same wave in the half of the frequencies that tell all of them apart: fx of 0 to 1/2 and fy of -1/2
+    to 1/2, cycles per pixel."""
+    fy, fx = (fy + 0.5) % 1 - 0.5, (fx + 0.5) % 1 - 0.5
+    return (fy, fx) if fx >= 0 else (-fy, -fx)
 
 
-def carrier(fy: float, fx: float, size: tuple[int, int]) -> tuple[Site, float]:
-    """What carries a plane wave, and its cycles per step there: the scan, whose waves run on from the end of
-    a row to the start of the next, or lines, where it is nearer to one that does not change along them."""
+def carrier(fy: float, fx: float, size: tuple[int, int]) -> tuple[Site, dict[str, float]]:
+    """What carries a plane wave, and its cycles per step there: lines, of a wave that does not change along
+    them as far as a frame of this size tells, else the pixels. What runs along the scan is a wave of pixels
+    too, whatever the number of those that a row has."""
     h, w = size
-    run_on = abs(fx * w - fy - np.round(fx * w - fy))
     along, over, cycles = min((abs(fx) * w, "row", abs(fy)), (abs(fy) * h, "column", abs(fx)))
-    if along < run_on / 2:
-        return ("row" if over == "row" else "column"), float(min(cycles, 1 - cycles))
-    return "raster", raster_frequency(fy, fx, w)
+    if along < _STRAIGHT:
+        return ("row" if over == "row" else "column"), {"frequency": float(min(cycles, 1 - cycles))}
+    return "pixel", {"frequency_y": float(fy), "frequency_x": float(fx)}

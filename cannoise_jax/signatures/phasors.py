@@ -6,7 +6,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 from scipy import optimize, special
 
 from cannoise_jax.signatures.fields import Fields, map_contrasts
@@ -53,6 +53,14 @@ def rician_fit(
     error = float(np.sqrt(2 / beside.sum()))
     shift = float(np.sqrt(4 / np.sqrt(np.sum(beside**2))))
     return Rician(log_p, max(-float(best.fun), 0.0), amplitude, error, shift)
+
+
+def about_centre(points: Complex[np.ndarray, "t"]) -> Complex[np.ndarray, "t"]:
+    """Points as seen from the centre of the circle that comes nearest to them, by linear least squares (Kasa,
+    A circle fitting procedure and its error analysis, IEEE Trans. Instrum. Meas. IM-25, 8 (1976))."""
+    basis = np.stack([2 * points.real, 2 * points.imag, np.ones(len(points))], 1)
+    x, y, _ = np.linalg.lstsq(basis, np.abs(points) ** 2, rcond=None)[0]
+    return points - (x + 1j * y)
 
 
 def orthonormal(basis: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "m n"]:

@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
-from scipy import fft, ndimage, stats
+from jaxtyping import Complex, Float
+from scipy import fft, stats
 
 from cannoise_jax.physics.core.grammar import Point, amplitude_name
 from cannoise_jax.signatures.added import as_map
 from cannoise_jax.signatures.answers import as_it_stays
-from cannoise_jax.signatures.carriers import carrier, raster_frequency, refined
-from cannoise_jax.signatures.fields import Fields, frame_fields
+from cannoise_jax.signatures.carriers import carrier, refined
+from cannoise_jax.signatures.fields import Fields, frame_fields, helmert
 from cannoise_jax.signatures.handed import Addition, Asked, Found, Many
 from cannoise_jax.signatures.least import (
     one,
     sinusoid,
 )
-from cannoise_jax.signatures.phasors import rician_fit, without
+from cannoise_jax.signatures.phasors import about_centre, rician_fit, without
 from cannoise_jax.signatures.score import Score, sidak
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,
@@ -32,32 +33,30 @@ from cannoise_jax.signatures.signature import (
     Axes,
     Signature,
 )
+from cannoise_jax.signatures.wave_shares import PAD, around, of_all, of_lines
 
-_PAD = 2
 _LEAST_STAYING = 3
 """Periods in the frame from which on what stays may be called a wave."""
-_WINDOW = 10 * _PAD + 1
-"""Points of the padded grid that tell the level about a frequency, a side: some 100 of them independent."""
-_OWN = 4 * _PAD + 1
-"""Points, a side, that a line itself takes."""
 _LEAST_REST = 0.01
 """Share of a field's power that is taken to be no wave's, at least."""
-_MOST_OF_LINES = 0.5
-"""Share of what whole rows or columns share that lies in one line, from which on the line is judged first: a
-law of many frequencies would take it for its own."""
-_LINES, _NEXT_LINE, _SHARP = 3, 0.3, 10.0
-"""Lines that are looked for one after the other, how far another one stands out at least of what is about it,
-against the first, and in powers of that: rows that wander slowly have peaks of up to five."""
-_COLOURED = 1.5
-"""Level from which on noise is taken as coloured: three standard deviations of what white noise shows."""
+_MOST = 0.5
+"""Share of what whole rows or columns share, or of all that is alike between pixels, that lies in one line,
+from which on the line is judged first: a law of many frequencies would take it for its own."""
+_CLEAR = 25.0
+"""Power of a wave in a frame, in that of the noise, from which on its phases show where the mean of the
+frames was: a fifth of its amplitude is noise then."""
+_LEAST_FRAMES = 6
+"""Frames of a recording from which on a circle through their phases is held to be theirs."""
 
 
 class Wave(NamedTuple):
-    """Cycles a pixel along the columns and the rows, and its share of what whole rows or columns share."""
+    """Cycles a pixel along the columns and the rows, its share of what whole rows or columns share, and that
+    of all that is alike between pixels."""
 
     fy: float
     fx: float
     of_lines: float
+    of_all: float = 0.0
 
 
 def plane_power(field: Fields, values: np.ndarray) -> np.ndarray:
@@ -66,13 +65,13 @@ def plane_power(field: Fields, values: np.ndarray) -> np.ndarray:
     w = field.weight.astype(np.float32)
     total = np.sum(w.astype(np.float64) ** 2)
     h, wd = w.shape
-    out = np.zeros((_PAD * h, _PAD * wd // 2 + 1))
+    out = np.zeros((PAD * h, PAD * wd // 2 + 1))
     for x in values:
         y = x * w
         y = y - y.sum() / total * w**2
         own = max(float(np.sum(y.astype(np.float64) ** 2)), 1e-30)
         # Row by row before the rows of zeros are added: of those nothing is to be transformed.
-        modes = fft.fft(fft.rfft(y, _PAD * wd, axis=1), _PAD * h, axis=0, overwrite_x=True)
+        modes = fft.fft(fft.rfft(y, PAD * wd, axis=1), PAD * h, axis=0, overwrite_x=True)
         out += (modes.real**2 + modes.imag**2) / own
     return out
 
@@ -102,37 +101,37 @@ def wave_score(
             chosen.append((f, values, information * (f.frames if time == "frozen" else 1)))
     if not chosen:
         return None
-    scale = sum(len(v) * i for _, v, i in chosen)
+    scale, squares = (sum(len(v) * i**k for _, v, i in chosen) for k in (1, 2))
     power: np.ndarray = np.sum([plane_power(f, v) * (i / scale) for f, v, i in chosen], axis=0)
     h, w = fields[0].mean.shape
     power[0, 0] = 0
     # Less than a period in the frame is a drift, not interference, and its two phases are not independent;
     # of what stays, a few periods are a glow or shading of some shape.
-    least = _PAD * (1 if time == "redrawn" else _LEAST_STAYING)
+    least = PAD * (1 if time == "redrawn" else _LEAST_STAYING)
     power[:least, :least] = power[1 - least :, :least] = 0
     # Two pixels to a period, along an axis or both: that is what sites of the mosaic share, no interference.
-    middle, last = _PAD * h // 2, power.shape[1] - 1
-    for rows in (slice(0, _PAD + 1), slice(-_PAD, None), slice(middle - _PAD, middle + _PAD + 1)):
-        power[rows, last - _PAD :] = 0
-    power[middle - _PAD : middle + _PAD + 1, : _PAD + 1] = 0
-    raw, around = power, _around(power)
+    middle, last = PAD * h // 2, power.shape[1] - 1
+    for rows in (slice(0, PAD + 1), slice(-PAD, None), slice(middle - PAD, middle + PAD + 1)):
+        power[rows, last - PAD :] = 0
+    power[middle - PAD : middle + PAD + 1, : PAD + 1] = 0
+    raw, level_about = power, around(power)
     here = 1.0 if near is None else _about(near, power.shape, (h, w))
-    where = np.unravel_index(np.argmax(here * power / around), power.shape)
-    power, level = power / around, float(around[where])
+    where = np.unravel_index(np.argmax(here * power / level_about), power.shape)
+    power, level = power / level_about, float(level_about[where])
     # Between two points of the grid a wave shows less of its power.
     fy, fx = refined(
         [v * f.weight.astype(np.float32) for f, v, _ in chosen],
-        (float(fft.fftfreq(_PAD * h)[where[0]]), float(where[1] / (_PAD * w))),
+        (float(fft.fftfreq(PAD * h)[where[0]]), float(where[1] / (PAD * w))),
     )
-    trials = h * w / 2 * _PAD**2  # every point of the padded grid: a bound, whatever the number of fields
+    trials = h * w / 2 * PAD**2  # every point of the padded grid: a bound, whatever the number of fields
     y, x = np.arange(h)[:, None], np.arange(w)[None, :]
     turn = np.exp(-2j * np.pi * (fy * y + fx * x)).astype(np.complex64)
-    own, whole, rest = (
-        np.concatenate(parts)
-        for parts in zip(*(_centred_power(f, v, turn) for f, v, _ in chosen), strict=True)
-    )
+    told = [_centred(f, v, turn) for f, v, _ in chosen]
+    own, whole, rest = (np.concatenate(parts) for parts in zip(*told, strict=True))
     weights = np.concatenate([np.full(len(v), i) for _, v, i in chosen]) / level
-    fit = rician_fit(float(power[where]), own / level, weights, whole, rest)
+    fit = rician_fit(float(power[where]), np.abs(own) ** 2 / level, weights, whole, rest)
+    if time == "redrawn":
+        fit = fit._replace(amplitude=_of_frames(chosen, told, level) or fit.amplitude)
     direction = "row" if abs(fx) < 0.6 / w else "column" if abs(fy) < 0.6 / h else "diagonal"
     along, doubt = np.hypot(fx, fy), (0.2 / h, 0.2 / w)
     return Score(
@@ -149,76 +148,62 @@ def wave_score(
             "frequency_x": (fx, "1/px", doubt[1]),
         },
         where={"axis": "frequency", "period_px": float(1 / along) if along else None, "direction": direction},
-        payload=Wave(fy, fx, _of_lines(raw, (int(where[0]), int(where[1])))),
+        payload=Wave(fy, fx, *_shares(raw, (int(where[0]), int(where[1])), scale**2 / squares)),
         spot={"frequency_y": (fy, 2.5 * doubt[0]), "frequency_x": (fx, 2.5 * doubt[1])},
     )
-
-
-def _of_lines(power: Float[np.ndarray, "h w"], at: tuple[int, int]) -> float:
-    """Share of what whole rows or columns share, beyond white noise, that lies in the line at this point and
-    in others that stand out as it does: harmonics of one source come together. 0 where it is no wave of rows
-    or columns."""
-    h, w = power.shape
-    if at[1] > 0.6 * _PAD and min(at[0], h - at[0]) > 0.6 * _PAD:
-        return 0.0
-    shared = power[:, 0] if at[1] <= 0.6 * _PAD else power[0]
-    place, length = (at[0], h) if at[1] <= 0.6 * _PAD else (at[1], 2 * (w - 1))
-    beyond = np.maximum(shared - 1, 0)
-    around, near = (n * ndimage.uniform_filter1d(beyond, n, mode="wrap") for n in (_WINDOW, _OWN))
-    sharp = beyond / (1 + np.maximum(around - near, 0) / (_WINDOW - _OWN))
-    own = _line(shared.size, place, length)
-    for _ in range(_LINES - 1):
-        left = np.where(own, 0, sharp)
-        other = int(np.argmax(left))
-        if left[other] < max(_NEXT_LINE * sharp[place], _SHARP):
-            break
-        own |= _line(shared.size, other, length)
-    return float(beyond[own].sum() / max(beyond.sum(), 1e-30))
-
-
-def _line(size: int, place: int, length: int) -> Bool[np.ndarray, "n"]:
-    """Points of the padded grid that a line and its mirror image take."""
-    near = np.arange(size)
-    out = np.zeros(size, bool)
-    for middle in (place, length - place):
-        out |= np.abs((near - middle + length / 2) % length - length / 2) <= 2 * _PAD
-    return out
-
-
-def _around(power: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """Level of the power about every frequency where it is well above that of white noise, else 1: a line
-    stands out of what is about it, noise that is stronger at low frequencies does not."""
-
-    def sums(values: np.ndarray, side: int) -> np.ndarray:
-        return side**2 * ndimage.uniform_filter(values, side, mode=("wrap", "nearest"))
-
-    seen = (power > 0).astype(float)
-    number = sums(seen, _WINDOW) - sums(seen, _OWN)
-    level = (sums(power, _WINDOW) - sums(power, _OWN)) / np.maximum(number, 1.0)
-    return np.where(level > _COLOURED, level, 1.0)
 
 
 def _about(near: tuple[float, float], grid: tuple[int, int], size: tuple[int, int]) -> np.ndarray:
     """Points of the padded frequency grid that frames of this size do not tell from a frequency."""
     apart_y = np.abs((fft.fftfreq(grid[0]) - near[0] + 0.5) % 1 - 0.5)[:, None]
-    apart_x = np.abs(np.arange(grid[1]) / (_PAD * size[1]) - near[1])[None, :]
+    apart_x = np.abs(np.arange(grid[1]) / (PAD * size[1]) - near[1])[None, :]
     return (apart_y < 0.75 / size[0]) & (apart_x < 0.75 / size[1])
 
 
-def _centred_power(
+def _shares(power: Float[np.ndarray, "h w"], at: tuple[int, int], terms: float) -> tuple[float, float]:
+    """Of what lines share, and of all: see `of_lines` and `of_all`. Of a few periods in the frame none of
+    all: what varies slowly has most of its power there, whatever it is."""
+    h, w = power.shape
+    periods = np.hypot(min(at[0], h - at[0]), at[1]) / PAD
+    return of_lines(power, at), of_all(power, at, terms) if periods >= _LEAST_STAYING else 0.0
+
+
+def _centred(
     field: Fields, values: np.ndarray, turn: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of each field the power at one frequency, mean 1 under the null; the field's own power that it was
-    divided by, over that of the modelled noise; and what is left of that without the wave."""
+) -> tuple[Complex[np.ndarray, "n"], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """Of each field the phasor at one frequency, of mean power 1 under the null; the field's own power that
+    this was divided by, over that of the modelled noise; and what is left of that without the wave."""
     w = field.weight.astype(np.float32)
     total = float(np.sum(w.astype(np.float64) ** 2))
     weighted = values * w
     level = np.einsum("nij->n", weighted) / total
     centred = weighted - level[:, None, None] * w**2
     own = np.maximum(np.einsum("nij,nij->n", centred, centred, dtype=np.float64), 1e-30)
-    power = np.abs(np.einsum("nij,ij->n", centred, turn)) ** 2 / own
-    of_wave = np.minimum(2 * power / max(np.count_nonzero(w), 1), 1 - _LEAST_REST)
-    return power, own / total, own / total * (1 - of_wave)
+    phasor = np.einsum("nij,ij->n", centred, turn) / np.sqrt(own)
+    of_wave = np.minimum(2 * np.abs(phasor) ** 2 / max(np.count_nonzero(w), 1), 1 - _LEAST_REST)
+    return phasor, own / total, own / total * (1 - of_wave)
+
+
+def _of_frames(
+    chosen: Sequence[tuple[Fields, np.ndarray, float]], told: Sequence[tuple[np.ndarray, ...]], level: float
+) -> float | None:
+    """Amplitude, DN, of a wave that is clear in every frame; None of another. A contrast between frames holds
+    the difference of several phases, so that its power differs from one to the next; the phasors of frames
+    lie on a circle, wherever their mean was."""
+    powers, weights = [], []
+    for (f, v, information), (own, whole, rest) in zip(chosen, told, strict=True):
+        if f.before or f.frames < _LEAST_FRAMES or len(v) != f.frames - 1:
+            continue
+        seen = own * np.sqrt(whole)
+        if np.mean(np.abs(seen) ** 2) > _CLEAR * level * np.mean(rest):
+            frames = about_centre(helmert(f.frames).T @ seen)
+            powers.append(np.mean(np.abs(frames) ** 2) - level * np.mean(rest))
+            weights.append(information)
+    if not powers:
+        return None
+    # Of noise of power 1 a wave of amplitude A has the power A^2 I / 4.
+    each = 4 * np.maximum(np.array(powers), 0.0) / np.array(weights)
+    return float(np.sqrt(np.average(each, weights=np.array(weights))))
 
 
 def wave_absorb(fields: tuple[Fields, ...], score: Score[Wave]) -> tuple[Fields, ...]:
@@ -286,12 +271,14 @@ def interference(
     name: str,
     parameter: str,
     lines: tuple[str, ...] = (),
+    alike: tuple[str, ...] = (),
     after: str = "",
 ) -> Signature:
     """A plane wave: of a new phase in every frame, or of one that stays. lines: signatures of rows and
     columns, before which a wave that is most of what these share is judged. A lesser one stands out only of
-    noise of lines that is known; taken out with that it would be too weak, and their law another one. after:
-    the wave beside which this one is looked for."""
+    noise of lines that is known; taken out with that it would be too weak, and their law another one. alike:
+    signatures of what pixels have alike in each frame in other ways, before which a wave that is most of
+    that is judged. after: the wave beside which this one is looked for."""
     redrawn_too = time == "redrawn"
     point = Point("readout", "signal", "raster", time, spectrum="sinusoid")
 
@@ -303,18 +290,17 @@ def interference(
 
     def added(found: Found, amplitude: str) -> Addition:
         fy, fx = (found.score.parameters[name][0] for name in ("frequency_y", "frequency_x"))
-        if redrawn_too:
-            over, frequency = carrier(fy, fx, found.size)
-        else:
-            over, frequency = "raster", raster_frequency(fy, fx, found.size[1])
+        over, frequencies = carrier(fy, fx, found.size)
         maps = {} if found.pattern is None else {"field": as_map(found.pattern)}
-        values = {amplitude: found.score.amplitude, "frequency": frequency}
+        values = {amplitude: found.score.amplitude, **frequencies}
         return Addition(values, maps, point=dataclasses.replace(point, over=over))
 
     def simulate(found: Found) -> Addition:
-        more = added(found, parameter)
-        usual = redrawn_too and more.point == point
-        return more._replace(point=None) if usual else more
+        return added(found, parameter)
+
+    def before(score: Score) -> tuple[str, ...]:
+        first = alike if score.payload.of_all > _MOST else ()
+        return (*first, *(lines if score.payload.of_lines > _MOST else ()))
 
     def place(found: Found) -> Addition:
         return added(found, amplitude_name(point))
@@ -335,7 +321,7 @@ def interference(
         place=place,
         detectable=wave_detectable if redrawn_too else BY_SHIFT,
         decides=redrawn_too,
-        before=lambda score: lines if score.payload.of_lines > _MOST_OF_LINES else (),
+        before=before,
         found_in=lines,
         after=after,
         least=(lambda sets: sinusoid(sets, one)) if redrawn_too else NO_CLOSED_FORM,

@@ -92,6 +92,12 @@ def _wave(phase):
     return np.cos(2 * np.pi * (0.11 * ROWS + 0.23 * COLUMNS) + phase)
 
 
+def _waves_of_frames(rng, f: Fields):
+    """What waves of a phase of its own in every frame leave between frames."""
+    waves = _wave(rng.uniform(0, 6.3, (f.frames, 1, 1)))
+    return np.einsum("nt,tij->nij", helmert(f.frames), waves)[: len(f.contrasts)]
+
+
 def _pink(rng, shape):
     """1/f noise along the last axis, of unit rms."""
     frequency = np.maximum(np.fft.rfftfreq(shape[-1]), 1 / shape[-1])
@@ -143,7 +149,7 @@ OWN = {
     "modulated_additive": lambda rng, unit, f: 2 * _swelling(rng, f),
     "modulated_relative": lambda rng, unit, f: 0.02 * f.signal * _swelling(rng, f) * f.lit,
     "modulated_thermal": lambda rng, unit, f: 2 * f.exposure_s * _swelling(rng, f),
-    "wave_redrawn": lambda rng, unit, f: 1.5 * _wave(rng.uniform(0, 6.3, _new(f))),
+    "wave_redrawn": lambda rng, unit, f: 1.5 * _waves_of_frames(rng, f),
     "wave_frozen": lambda rng, unit, f: 1.5 * _wave(unit.uniform(0, 6.3)),
     "flicker": lambda rng, unit, f: (
         0.02 * f.signal * np.cos(2 * np.pi * 0.1 * ROWS + rng.uniform(0, 6.3, _new(f)))

@@ -26,8 +26,8 @@ from cannoise_jax.physics.core.settings import context_of
 SIZE, FRAMES, BLOCKS = (6, 6), 1500, 30
 KERNEL = tuple((np.array([0, 5, 0, 5, 6, 2, 0, 3, 1]) / 10).tolist())
 VALUES = {
-    "exponent": 1.0, "frequency": 0.13, "tukey_lambda": -0.05, "fraction": 0.3, "rate": 0.2,
-    "memory_frames": 1.5,
+    "exponent": 1.0, "frequency": 0.13, "frequency_y": -0.21, "frequency_x": 0.13, "tukey_lambda": -0.05,
+    "fraction": 0.3, "rate": 0.2, "memory_frames": 1.5,
 }  # fmt: skip
 SIGMA_DN = 5.0
 
@@ -133,7 +133,7 @@ def test_every_allowed_point_does_what_it_claims(point):
     ("axes", "message"),
     [
         ({"over": "raster", "time": "drifting", "spectrum": "sinusoid"}, "it does not drift"),
-        ({"over": "pixel", "time": "redrawn", "spectrum": "sinusoid"}, "runs over rows"),
+        ({"over": "frame", "time": "redrawn", "spectrum": "sinusoid"}, "runs over rows"),
         ({"over": "block", "time": "redrawn", "spectrum": "power_law"}, "runs over rows"),
         ({"over": "row", "time": "redrawn", "spectrum": "kernel", "kernel": KERNEL}, "filters pixels"),
         (

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import jax
 import numpy as np
 import pytest
 
+from cannoise_jax.discovery.frames.battery import prepare
+from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.discovery.search.fit import stepwise
+from cannoise_jax.discovery.search.model import extended_model
+from cannoise_jax.physics.core.sensor import Settings
+from cannoise_jax.signatures.phasors import about_centre
+from cannoise_jax.signatures.wave_shares import of_all
 from cannoise_jax.signatures.waves import wave_absorb, wave_score
+from tests.discovery.capture import capture_set
 from tests.discovery.looks import SIGNATURES, white
 
 SIZE = (64, 96)
@@ -107,3 +115,50 @@ def test_as_many_lines_as_there_are_each_with_its_frequency_and_strength(frequen
     for (frequency, amplitude), f in zip(told, frequencies, strict=True):
         assert frequency == pytest.approx(f, abs=2e-3)
         assert amplitude == pytest.approx(0.6, abs=0.12)
+
+
+def test_a_strong_slanted_wave_is_found_first_and_wholly_and_drawn_as_it_was():
+    """Of twice the read noise, on which all that compares neighbours bears as well."""
+    down, across, amplitude, read = -0.113, 0.2071, 9.0, 4.5
+    y, x = np.indices(SIZE)
+
+    def alter(rng):
+        return lambda dn, *_: dn + amplitude * np.cos(2 * np.pi * (down * y + across * x + rng.uniform()))
+
+    capture = capture_set(21, alter, kinds="df", size=SIZE, frames=12)
+    prepared = prepare(capture, all_frames(split_recordings(capture)), False)
+    names = ("wave_redrawn", "lags_any", "lags_read", "lags_demosaicing", "warm", "wave_redrawn_2")
+    looks = tuple(s for s in prepared.signatures if s.name in names)
+    found = stepwise(prepared.fields, looks, frozenset({"banding", "demosaicing"}), np.log(0.01))
+    assert [s.named.signature.name for s in found.steps] == ["wave_redrawn"]
+    model = extended_model(capture, prepared, found.steps)
+    (wave,) = model.mechanisms
+    told = {name: float(value) for name, value in wave.parameters.items()}
+    reported = found.steps[0].named.score.parameters
+    for name, truth in (("frequency_y", down), ("frequency_x", across)):
+        assert told[name] == pytest.approx(reported[name][0], abs=1e-6)
+        assert told[name] == pytest.approx(truth, abs=3e-4)
+    assert told["amplitude_dn"] == pytest.approx(amplitude, rel=0.01)
+    assert np.mean(model.read_noise_e * model.gain_dn_per_e) == pytest.approx(read, rel=0.01)
+    dark = np.asarray(model.sample(jax.random.key(3), np.zeros(SIZE), Settings(frames=12)), float)
+    turn = np.exp(-2j * np.pi * (down * y + across * x))
+    drawn = 2 * np.abs(np.mean((dark - dark.mean((1, 2), keepdims=True)) * turn, (1, 2)))
+    assert drawn == pytest.approx(amplitude, abs=0.4)
+
+
+def test_a_wave_has_its_strength_whatever_the_phases_of_a_few_frames_are():
+    phases = np.exp(2j * np.pi * np.array([0.02, 0.1, 0.17, 0.3, 0.33, 0.41]))  # of half of the circle
+    seen = 3.0 * (phases - phases.mean())
+    assert np.abs(about_centre(seen)) == pytest.approx(3.0)
+
+
+def test_lines_are_most_of_what_is_alike_and_broad_noise_is_no_line():
+    rng = _RNG(5)
+    power = rng.gamma(10, 0.1, (128, 97))
+    line = power.copy()
+    line[20:23, 30:33] += 4000.0
+    assert of_all(line, (21, 31), 10) > 0.9
+    fy, fx = np.fft.fftfreq(128)[:, None], np.arange(97) / 192
+    broad = power * (1 + 20 * np.exp(-((fy - 0.15) ** 2 + (fx - 0.2) ** 2) / 0.002))
+    at = np.unravel_index(int(np.argmax(broad)), broad.shape)
+    assert of_all(broad, (int(at[0]), int(at[1])), 10) < 0.3

@@ -11,13 +11,14 @@ from scipy import stats
 
 from cannoise_jax.discovery.frames.battery import Prepared
 from cannoise_jax.discovery.frames.calibrate import ordinary_variance, own_variance
-from cannoise_jax.discovery.frames.contrasts import FLICKER
+from cannoise_jax.discovery.frames.contrasts import FLICKER, Stack, steady_variance
 from cannoise_jax.physics.core.mechanism import Mechanism
 from cannoise_jax.physics.core.places import place
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.sensor_draws import closed_moments
 from cannoise_jax.physics.core.settings import IsoTable
 from cannoise_jax.signatures.fields import channel_index, native
+from cannoise_jax.signatures.phasors import orthonormal, projected_out
 
 _BRIGHT = 0.4
 """Signal over the range at which the lit variance is matched: below a full well, and where photons make
@@ -53,7 +54,7 @@ def balanced(bare: SensorModel, model: SensorModel, prepared: Prepared) -> Senso
     of which findings such as unlike greens take or give a part."""
     channel = channel_index(prepared.fields[0].mean.shape)
     for n, iso in enumerate(np.asarray(bare.iso)):
-        seconds, dark, freedom = _shortest_dark(prepared, float(iso), channel, _tail_shape(model))
+        seconds, dark, freedom = _shortest_dark(prepared, float(iso), channel, model)
         settings = Settings(float(iso), seconds)
         wanted = [_variance(bare, level, settings, channel) for level in (0.0, _BRIGHT)]
         wanted[0] = wanted[0] if dark is None else dark
@@ -63,7 +64,9 @@ def balanced(bare: SensorModel, model: SensorModel, prepared: Prepared) -> Senso
         for _ in range(_ROUNDS):
             trial = _with_noise(model, n, gain, read)
             have = [
-                _variance(trial, level, settings, channel, 0 if level or dark is None else freedom)
+                _variance(trial, level, settings, channel)
+                if level or dark is None
+                else _closed_variance_of(trial, _of_dark, level, settings, channel, freedom)
                 for level in (0.0, _BRIGHT)
             ]
             slope = (wanted[1] - wanted[0]) / np.maximum(have[1] - have[0], 1e-9)
@@ -105,10 +108,46 @@ def shown_of_tails(shape: float, freedom: int) -> float:
     return ordinary_variance(pixels, freedom) / float(stats.tukeylambda.var(shape))
 
 
-def _shortest_dark(prepared: Prepared, iso: float, channel: np.ndarray, tails: float | None):
+def _is_wave(record: Mechanism) -> bool:
+    """Whether it is a wave that each frame has at a phase of its own."""
+    point = record.point
+    return point.spectrum == "sinusoid" and point.time == "redrawn" and point.combine == "add"
+
+
+def _of_dark(record: Mechanism) -> bool:
+    """Whether it is in what `_shortest_dark` tells."""
+    return not (_of_frames(record) or _is_wave(record))
+
+
+def _without_waves(stacked: Stack, model: SensorModel) -> Stack:
+    """The frames without the waves of the model: how much the phases of a few frames differ by is chance, as
+    is what a wave adds to their variance."""
+    if not len(stacked.contrasts):
+        return stacked
+    h, w = stacked.mean.shape
+    kept = []
+    for f in (f for f in model.mechanisms if _is_wave(f.record)):
+        at = {name: float(np.asarray(f.parameters[name])) for name in f.parameters if "frequency" in name}
+        cycles = at.get("frequency", 0.0)
+        fy, fx = {
+            "row": (cycles, 0.0),
+            "column": (0.0, cycles),
+            "raster": (cycles * w % 1.0, cycles),
+            "pixel": (at.get("frequency_y", 0.0), at.get("frequency_x", 0.0)),
+        }[f.record.point.over]
+        turn = np.exp(2j * np.pi * (fy * np.arange(h)[:, None] + fx * np.arange(w)))
+        kept += [turn.real.ravel(), turn.imag.ravel()]
+    if not kept:
+        return stacked
+    left = projected_out(stacked.contrasts, orthonormal(np.stack(kept)))
+    return stacked._replace(contrasts=left, variance=steady_variance(left, stacked.mean, lit=False))
+
+
+def _shortest_dark(prepared: Prepared, iso: float, channel: np.ndarray, model: SensorModel):
     """Exposure, s, and temporal variance before rounding per channel, DN^2, of the shortest dark of one gain
-    setting; 0.01 and None without one, None where one frame or rounding hides it; and its degrees of
-    freedom. tails: shape of those of the read noise."""
+    setting, but for that of the model's waves; 0.01 and None without one, None where one frame or rounding
+    hides it; and its degrees of freedom."""
+    tails = _tail_shape(model)
     isos = [np.float32(prepared.isos[b.iso]) for b in prepared.baselines]
     mine = [f for f in prepared.fields if not f.lit and f.exposure_s is not None and isos[f.group] == iso]
     if not mine:
@@ -116,7 +155,7 @@ def _shortest_dark(prepared: Prepared, iso: float, channel: np.ndarray, tails: f
     f = native(min(mine, key=lambda f: f.exposure_s or 0.0))
     stacked = next(s for s in prepared.stacks if s.number == f.number)
     # Of the frames as they were recorded: the fields' own holds what whole frames share.
-    total = own_variance(stacked, channel, f.sigma.astype(np.float64) ** 2, f.mean)
+    total = own_variance(_without_waves(stacked, model), channel, f.sigma.astype(np.float64) ** 2, f.mean)
     if tails is not None and -0.45 < tails < 0 and f.frames > 1:
         total = total / shown_of_tails(round(tails, 3), f.frames - 1)
     variance = np.array([np.median(total[channel == c]) for c in range(4)]) - f.step**2 / 12
@@ -130,17 +169,14 @@ def _with_noise(model: SensorModel, n: int, gain: np.ndarray, read: np.ndarray) 
     return dataclasses.replace(model, gain_dn_per_e=gains, read_noise_e=reads)
 
 
-def _variance(
-    model: SensorModel, level: float, settings: Settings, channel: np.ndarray, freedom: int = 0
-) -> np.ndarray:
+def _variance(model: SensorModel, level: float, settings: Settings, channel: np.ndarray) -> np.ndarray:
     """Median over the pixels of each channel of the temporal variance before rounding, DN^2, but for what the
-    fitted baseline is without: what whole frames share, and rows of light where that is strong. freedom: of
-    the recordings that it is compared with, whose mean leaves out pixels far noisier than the others."""
-    own = _closed_variance_of(model, lambda r: not _of_frames(r), level, settings, channel, freedom)
+    fitted baseline is without: what whole frames share, and rows of light where that is strong."""
+    own = _closed_variance_of(model, lambda r: not _of_frames(r), level, settings, channel)
     if not level or not any(_of_lit_rows(f.record) for f in model.mechanisms):
         return own
     steady = _closed_variance_of(
-        model, lambda r: not (_of_frames(r) or _of_lit_rows(r)), level, settings, channel, freedom
+        model, lambda r: not (_of_frames(r) or _of_lit_rows(r)), level, settings, channel
     )
     return np.where(own - steady > FLICKER * steady, steady, own)
 
@@ -151,8 +187,10 @@ def _closed_variance_of(
     level: float,
     settings: Settings,
     channel: np.ndarray,
-    freedom: int,
+    freedom: int = 0,
 ) -> np.ndarray:
+    """As `_variance`, of the mechanisms that are `kept_if`. freedom: of the recordings that it is compared
+    with, whose mean leaves out pixels far noisier than the others."""
     kept = tuple(f for f in model.mechanisms if kept_if(f.record))
     model = dataclasses.replace(model, mechanisms=kept)
     values = np.asarray(closed_moments(model, np.full(channel.shape, level, np.float32), settings)[1])

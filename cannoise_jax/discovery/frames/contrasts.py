@@ -68,7 +68,7 @@ def stack(
     mean = (total / len(chosen)).astype(np.float32)
     # The mean of all frames is independent of every contrast.
     overall = ((total + earlier) / (len(chosen) + len(before))).astype(np.float32)
-    variance = _steady_variance(contrasts, overall, recording.kind == "flat")
+    variance = steady_variance(contrasts, overall, recording.kind == "flat")
     white = min(recording.white_level, 65535.0)
     usable = (high < white - 0.5) & (low > 0)
     if recording.kind in DARK and usable.mean() < 0.9:
@@ -89,7 +89,7 @@ def stack(
     )
 
 
-def _steady_variance(contrasts: np.ndarray, mean: np.ndarray, lit: bool) -> np.ndarray:
+def steady_variance(contrasts: np.ndarray, mean: np.ndarray, lit: bool) -> np.ndarray:
     """Mean square of the contrasts once what a whole frame shares is taken out; lit: of a flat."""
     total = np.zeros(mean.shape, np.float32)
     for c in range(4):

@@ -193,3 +193,13 @@ def sinusoid(
     high, low = index // 4096, index % 4096
     cycles = (frequency * 4096 % 1.0) * high % 1.0 + frequency * low % 1.0
     return jnp.cos(2 * jnp.pi * cycles + (phase - late)).reshape(frames, *sites)
+
+
+def plane_wave(
+    key: Key[Array, ""], frames: int, size: tuple[int, int], down, across
+) -> Float[Array, "t h w"]:
+    """cos(2 pi (down y + across x) + phase), cycles per pixel, unit peak, with a random phase per frame."""
+    phase = jax.random.uniform(key, (frames, 1, 1)) * (2 * jnp.pi)
+    y, x = jnp.arange(size[0])[:, None], jnp.arange(size[1])
+    # Whole cycles go first: float32 has few digits left for what remains of many.
+    return jnp.cos(2 * jnp.pi * (down * y % 1.0 + across * x % 1.0) + phase)

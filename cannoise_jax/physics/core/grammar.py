@@ -42,8 +42,8 @@ class Point:
       camera unit times one number that is redrawn in every frame.
     combine: "add" or "multiply" into what the stage carries. signal: exponent p of a further factor
       (signal / white level)^p, for noise that grows with the signal otherwise than in proportion.
-    spectrum: along the sites; "kernel": pixels correlate with their neighbours, as white noise does after a
-      filter by `kernel`, a square of odd side, row by row, of norm 1.
+    spectrum: along the sites; a "sinusoid" of pixels is a plane wave; "kernel": pixels correlate with their
+      neighbours, as white noise does after a filter by `kernel`, a square of odd side, row by row, of norm 1.
     distribution: of one number; "sparse": a few sites, exponential heights.
     group, phase: so many neighbouring rows (or columns) share one number, as where two are read at once;
       `phase` of the first group's lie before the frame. interleave: so many columns of a row (or rows of a
@@ -75,7 +75,8 @@ def contradiction(point: Point) -> str | None:
     spectrum, over, time, distribution = point.spectrum, point.over, point.time, point.distribution
     if not point.plain and (over not in ("row", "column") or spectrum != "white"):
         return "only rows and columns with a white spectrum come in groups"
-    if spectrum in ("power_law", "sinusoid") and place(over).lag is NO_LINE:
+    runs = place(over).lag is not NO_LINE or (spectrum, over) == ("sinusoid", "pixel")
+    if spectrum in ("power_law", "sinusoid") and not runs:
         return f"a {spectrum} spectrum runs over rows, columns or the raster, not over {over}"
     if spectrum == "kernel" and over != "pixel":
         return f"a kernel filters pixels, not {over}"
@@ -107,7 +108,10 @@ def point_parameters(point: Point, default: float) -> tuple[Parameter, ...]:
     found = [Parameter(amplitude_name(point), unit, default, 0.0, top, f"{what} {strength}")]
     if point.spectrum == "power_law":
         found.append(Parameter("exponent", "1", 1.0, 0.0, 2.0, "power falls as 1/f^exponent"))
-    if point.spectrum == "sinusoid":
+    if point.spectrum == "sinusoid" and point.over == "pixel":
+        found.append(Parameter("frequency_y", "cycles/pixel", 0.1, -0.5, 0.5, "cycles per row, down"))
+        found.append(Parameter("frequency_x", "cycles/pixel", 0.1, 0.0, 0.5, "cycles per column, across"))
+    elif point.spectrum == "sinusoid":
         step = {"raster": "pixel of the scan", "row": "row"}.get(point.over, point.over)
         found.append(Parameter("frequency", f"cycles/{point.over}", 0.1, 0.0, 0.5, f"cycles per {step}"))
     if point.distribution == "tukey_lambda":
@@ -130,6 +134,8 @@ def _fields(key, frames: int, point: Point, values: Values, context: Context) ->
         drawn = fields.neighbours(key, frames, size, point.kernel)
         return fields.remember(drawn, values["memory_frames"]) if point.time == "drifting" else drawn
     if point.spectrum == "sinusoid":
+        if point.over == "pixel":
+            return fields.plane_wave(key, frames, size, values["frequency_y"], values["frequency_x"])
         drawn = fields.sinusoid(key, frames, sites, values["frequency"], redrawn=point.time != "frozen")
     elif point.time == "telegraph":
         raise ValueError("a telegraph field needs its map of sites")

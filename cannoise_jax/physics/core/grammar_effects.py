@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from cannoise_jax.physics.core import fields
 from cannoise_jax.physics.core.mechanism import Context, Effect, Maps, Values
-from cannoise_jax.physics.core.places import place
+from cannoise_jax.physics.core.places import NEAR, place
 
 _SHARED = ("row", "column", "frame")
 """Sites whose number all of their pixels share: fields of `Effect`."""
@@ -123,6 +123,11 @@ def _lags(point, values: Values, context: Context, power) -> dict[tuple[int, int
     if point.spectrum == "power_law":
         steps = fields.correlations(values["exponent"], over, size)
         return {fields.lag(over, k, size[1]): power * r for k, r in steps.items()}
+    if point.spectrum == "sinusoid" and over == "pixel":
+        down, across = values["frequency_y"], values["frequency_x"]
+        return {
+            (dy, dx): power * jnp.cos(2 * jnp.pi * (down * dy + across * dx)) for dy, dx in (*NEAR, (1, -1))
+        }
     if point.spectrum == "sinusoid":
         return {
             fields.lag(over, k, size[1]): power * jnp.cos(2 * jnp.pi * values["frequency"] * k)
