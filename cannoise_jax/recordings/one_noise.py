@@ -1,8 +1,9 @@
 """Whether the frames of one recording have one temporal noise: averages and other gain settings have not.
 
 The noise of every frame is taken from its differences to the next two, D_ij = v_i + v_j, so that fixed
-patterns cancel: v_1 = (D_12 + D_13 - D_23) / 2. What rows do together, smooth light and its drift cancel
-between the neighbours of one colour in a row.
+patterns cancel: v_1 = (D_12 + D_13 - D_23) / 2. The last two frames take those before: over a whole recording
+the pattern of dark charge changes where the sensor warms up, and would be noise of theirs. What rows do
+together, smooth light and its drift cancel between the neighbours of one colour in a row.
 """
 
 from __future__ import annotations
@@ -74,7 +75,7 @@ def apart(recording: Recording) -> Apart | None:
     if recording.count < _FEWEST or recording.kind == "scene" or min(recording.size) < 8:
         return None
     variances, errors, signal = _noise(recording)
-    centre = float(np.median(variances))
+    centre = float(np.sort(variances)[(len(variances) - 1) // 2])
     # Less than none: the frames differ by a pattern of changing strength, which is no noise of theirs.
     if centre <= 0 or np.any(variances < -_SIGMAS * errors):
         return None
@@ -83,7 +84,8 @@ def apart(recording: Recording) -> Apart | None:
         signal = np.zeros_like(signal)
     coarse = _CODES * _step(recording) ** 2
     alike = np.stack([_alike(variances, errors, signal, coarse, at) for at in range(len(variances))])
-    # The rule is the noise that most frames share; of equal numbers that of the frame in the middle.
+    # The rule is the noise that most frames share; of equal numbers that of the frame in the middle, of two
+    # there the quieter one.
     order = np.lexsort((np.abs(variances - centre), -alike.sum(1)))
     rule = int(order[0])
     odd = np.flatnonzero(~alike[rule])
@@ -172,21 +174,26 @@ def _noise(
         frame = np.asarray(recording.frames[number : number + 1])[0]
         return frame[top : top + _SIDE, left : left + _SIDE].astype(np.float64) - black
 
-    signal = np.empty(count)
-    steps: list[tuple[float, float]] = []
-    kept = [middle(number) for number in (0, 1)]
-    held = [*kept]
+    signal, near, far = np.empty(count), np.zeros(count), np.zeros(count)
+    held = [middle(0)]
+    size = max(held[0].size, 1)
     for number in range(count):
         signal[number] = held[0].mean()
-        after = (number + 2) % count
-        held.append(kept[after] if after < 2 else middle(after))
+        held += [middle(after) for after in range(number + len(held), min(number + 3, count))]
         first, *later = held
-        steps.append((_square(first, later[0], recording), _square(first, later[1], recording)))
-        held.pop(0)
-    near, far = np.array(steps).T  # D of (t, t+1) and of (t, t+2)
-    values = (near + far - np.roll(near, -1)) / 2
-    size = max(kept[0].size, 1)
-    errors = _ERROR / 2 * np.sqrt((near**2 + far**2 + np.roll(near, -1) ** 2) / size)
+        for steps, other in zip((near, far), later, strict=False):
+            steps[number] = _square(first, other, recording)
+        held = later
+    # D of each frame to its two, and of these to one another: of frame t those after it, of the last two
+    # those before; of three frames there is one choice.
+    at, back = np.arange(count - 2), [max(count - 2, 2), count - 1]
+    ahead = np.array([near[at], far[at], near[at + 1]])
+    behind = np.array([[near[t - 1], far[t - 2], near[t - 2]] for t in back]).T
+    if count == _FEWEST:
+        behind[:, 0] = near[0], near[1], far[0]
+    sides = np.concatenate([ahead, behind], 1)
+    values = (sides[0] + sides[1] - sides[2]) / 2
+    errors = _ERROR / 2 * np.sqrt(np.sum(sides**2, 0) / size)
     return values, errors, np.maximum(signal, 0.0)
 
 

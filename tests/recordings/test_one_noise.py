@@ -70,6 +70,13 @@ def test_a_dark_that_warms_up_is_one_setting():
     assert apart(recording(warm)) is None
 
 
+@pytest.mark.parametrize("count", [6, 24])
+def test_the_last_frame_of_a_sensor_that_warms_up_is_no_light(count):
+    current = 60 * np.exp(0.5 * np.random.default_rng(5).standard_normal(SIZE))
+    warmer = 2 ** (np.linspace(0, 9, count) / 6.3)
+    assert apart(recording(frames(6, count, gain=2.0, electrons=1.0, pattern=current, light=warmer))) is None
+
+
 def test_lamps_rows_hits_hot_pixels_and_noise_below_a_code_are_no_other_noise():
     rng = np.random.default_rng(3)
     pattern = 1 + 0.03 * rng.standard_normal(SIZE)
@@ -105,7 +112,7 @@ def test_frames_noisier_by_interference_stay_where_that_is_looked_for():
 
 
 def test_a_pattern_of_changing_strength_is_no_noise_of_frames():
-    own = frames(0, 6)
+    own = frames(0, 6) + 500.0  # of light
     blocks = np.kron(np.indices((16, 20)).sum(0) % 2 - 0.5, np.ones((8, 8)))
     own += np.arange(6.0)[:, None, None] * 20 * np.roll(blocks, 1, 1)
     assert apart(recording(own, "flat")) is None
