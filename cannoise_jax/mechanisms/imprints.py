@@ -41,10 +41,11 @@ IN_FRAMES = (
 )
 """What a few far pixels of single frames imprint on: sums over places and products of neighbours."""
 WAVES = (
-    *(name for name in IN_FRAMES if not name.startswith("wave")),
+    *(name for name in IN_FRAMES if not name.startswith(("wave", "flicker"))),
     *(*_SHAPE, *_BLINKS, "warm", "row_turns_temporal", "modulated_additive", "modulated_relative"),
 )
-"""What a wave of a new phase in every frame imprints on: as `IN_FRAMES`, and the spread of pixels."""
+"""What a wave of a new phase in every frame imprints on: as `IN_FRAMES`, and the spread of pixels. Not
+flicker, which is a wave of the light itself."""
 STANDING_OUT = (
     *(f"{name}_frozen" for name in (*_TILES, *_DIAGONALS, "wave")),
     *(*_LINES_THAT_STAY, "row_thermal_static", "column_thermal_static"),
