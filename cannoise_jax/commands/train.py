@@ -27,7 +27,7 @@ from ml_collections import ConfigDict, config_flags
 from cannoise_jax.commands.entry import command, show_warnings
 from cannoise_jax.commands.entry import progress as progress_of
 from cannoise_jax.commands.interrupts import after_loading
-from cannoise_jax.commands.pulse import now_at
+from cannoise_jax.commands.pulse import current, now_at
 from cannoise_jax.recordings.opened import json_of
 from cannoise_jax.recordings.recording import CFA_PATTERNS, BadInput
 
@@ -328,13 +328,14 @@ def _run(
         else f"{len(data.train)} cameras drawn from the prior, to be measured on {named}"
     )
     print(f"{trained}; compiling takes a minute", flush=True)
-    now_at("training; its first steps and its first validation are compiled")
 
     def progress(step: int, steps: int):
-        return tqdm(
+        bar = tqdm(
             total=steps * config.batch_size, initial=step * config.batch_size, unit="patch", mininterval=1,
             dynamic_ncols=True, disable=not first,
         )  # fmt: skip
+        current().at(lambda: _stage(bar.n // config.batch_size if first else None, step, steps))
+        return bar
 
     try:
         with ExitStack() as bars:  # what is printed next begins on a line of its own
@@ -377,6 +378,15 @@ def _run(
         ) from error
     print(f"\n{workdir}/results.json, {workdir}/noise.png; {seconds / 60:.1f} minutes")
     return 0
+
+
+def _stage(now: int | None, began: int, steps: int) -> str:
+    """What training is at where its bar stands still. now: None where nothing counts the steps."""
+    if now is None:
+        return f"training to step {steps} with the other processes"
+    if now == began:
+        return "training; its first step is compiled"
+    return f"training: step {now} of {steps}; every validation takes a while, the first is compiled"
 
 
 if __name__ == "__main__":

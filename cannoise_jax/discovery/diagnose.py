@@ -24,6 +24,7 @@ from cannoise_jax.discovery.frames.faults import (
     fault_lines,
     faults_of,
     without_moving,
+    without_moving_flats,
 )
 from cannoise_jax.discovery.frames.simulate import Draw
 from cannoise_jax.discovery.frames.smooth import shades
@@ -96,8 +97,8 @@ def diagnose(
     a sensor model or its sensor.json, a training folder, or any function (key, clean, settings) -> DN.
     alpha: false-alarm rate of the whole run. without, mechanisms: names that may not, or may alone, be given;
     `mechanisms` may hold entries of one's own, which are looked for too. compare: also run the two-sample
-    test. tell: called with one line per stage. Frames without noise, and moving scenes beside flats, are left
-    out with a `LeftOutWarning`, and faults of the others are said with a `FaultWarning`.
+    test. tell: called with one line per stage. Frames without noise, moving scenes beside flats and flats
+    whose light moves are left out with a `LeftOutWarning`; faults are said with a `FaultWarning`.
     Raises BadInput for a simulator that cannot be judged, frames of several sizes, where too few are left,
     for flats and darks of two gains, and for scenes that move where no flats are, ValueError for unknown
     names or an alpha out of (0, 1), TypeError for what is no capture set or no key.
@@ -122,6 +123,9 @@ def diagnose(
     check_measurable(capture, faults)
     for line in fault_lines(faults):
         warnings.warn(line, FaultWarning, stacklevel=2)
+    capture, unsteady = without_moving_flats(capture, faults)
+    for line in unsteady:
+        warnings.warn(line, LeftOutWarning, stacklevel=2)
     tell("calibrate: black level, gain and read noise")
     judged = opened(capture, simulator, key, tell)
     raw = splits_of(judged.capture, judged.stated, judged.drawn, searched(entries))

@@ -8,12 +8,18 @@ from scipy import ndimage
 
 from cannoise_jax.commands.calibrate import calibrate
 from cannoise_jax.discovery.diagnose import diagnose
-from cannoise_jax.discovery.frames.faults import FaultWarning, faults_of, without_moving
+from cannoise_jax.discovery.frames.faults import (
+    FaultWarning,
+    faults_of,
+    without_moving,
+    without_moving_flats,
+)
 from cannoise_jax.discovery.report.document import document
 from cannoise_jax.discovery.report.page import page
 from cannoise_jax.physics.transfer.frames import frame_statistics
 from cannoise_jax.physics.transfer.rails import moved
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
+from cannoise_jax.recordings.usable import LeftOutWarning
 
 from .capture import SIZE, capture_set
 
@@ -119,6 +125,28 @@ def test_scenes_that_move_beside_flats_are_left_out_and_others_stay():
     for kept in ((scene, dark), (known, flat, dark)):
         left, lines = without_moving(CaptureSet("c", kept))
         assert len(left.recordings) == len(kept) and not lines
+
+
+def test_flats_under_which_the_light_moves_are_left_out_where_something_else_is_there():
+    """A flat whose light has waves of 10 %, which lie elsewhere in every frame."""
+    rng, columns = np.random.default_rng(11), np.arange(SIZE[1])
+    waves = np.stack([0.1 * np.sin((columns + shift) / 12) for shift in rng.uniform(0, 75, 8)])
+    waved = recording("flat", 2000.0 * (1 + waves)[:, None], count=8)
+    steady = dataclasses.replace(recording("flat", 2000.0), path="steady.h5")
+    dark = recording("dark")
+
+    def left(*recordings):
+        capture = CaptureSet("c", recordings)
+        return without_moving_flats(capture, faults_of(capture))
+
+    kept, (line,) = left(waved, steady, dark)
+    assert [r.path for r in kept.recordings] == ["steady.h5", "dark.h5"]
+    assert line.startswith("flat.h5: ") and line.endswith("the light moves: left out")
+    assert not left(steady, dark)[1] and not left(waved)[1]
+    capture = CaptureSet("c", (waved, dark))
+    with pytest.warns(LeftOutWarning, match="the light moves: left out"):
+        found = diagnose(capture, compare=False)
+    assert not found.findings
 
 
 def test_two_gains_that_no_file_states_are_refused_by_both():

@@ -12,6 +12,7 @@ from cannoise_jax.physics.transfer.frames import frame_statistics
 from cannoise_jax.physics.transfer.one_temperature import other_temperatures
 from cannoise_jax.physics.transfer.photon_transfer import channel_lines
 from cannoise_jax.physics.transfer.rails import MOVES, moving, with_measured_black
+from cannoise_jax.physics.transfer.smoothed import moving as light_moves
 from cannoise_jax.recordings.lazy import chosen
 from cannoise_jax.recordings.packing import ALL
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
@@ -65,6 +66,22 @@ def without_moving(capture: CaptureSet) -> tuple[CaptureSet, tuple[str, ...]]:
             lines.append(f"{r.path or r.kind}: {why}: the scene or its light moves: left out")
         else:
             kept.append(r)
+    return dataclasses.replace(capture, recordings=tuple(kept)), tuple(lines)
+
+
+def without_moving_flats(
+    capture: CaptureSet, found: Mapping[float | None, Faults]
+) -> tuple[CaptureSet, tuple[str, ...]]:
+    """The recordings without flats under which the light moves, and a line for each, where something else is
+    left: its motion has any shape, and is no noise."""
+    lines, kept = [], []
+    for r in capture.recordings:
+        if found[r.iso].flats and r.kind == "flat" and (alike := light_moves(frame_statistics(r))):
+            lines.append(f"{r.path or r.kind}: {alike}: the light moves: left out")
+        else:
+            kept.append(r)
+    if not kept:
+        return capture, ()
     return dataclasses.replace(capture, recordings=tuple(kept)), tuple(lines)
 
 
