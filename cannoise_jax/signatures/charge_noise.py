@@ -73,7 +73,9 @@ def steadied(
         if f.lit or not f.exposure_s or not np.all(f.gain > 0) or not len(f.contrasts):
             return f
         variance = f.gain[channel_index(rate.shape)] * charge * f.exposure_s
-        return f._replace(contrasts=f.contrasts / _growth(f, _rest(f, variance) + variance))
+        growth = _growth(f, _rest(f, variance) + variance)
+        louder = growth if f.louder is None else f.louder * growth
+        return f._replace(contrasts=f.contrasts / growth, louder=louder)
 
     return tuple(own(f) for f in fields)
 

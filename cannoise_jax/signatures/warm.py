@@ -27,6 +27,8 @@ from cannoise_jax.signatures.signature import CONTRASTS, STATIC, Axes, Signature
 
 DOUBLING_K = 6.3
 """Kelvin over which the dark current of silicon doubles near room temperature."""
+_FAR, _SURELY = 8.0, 3.0
+"""Standard deviations beyond which a value is no part of the noise, and from which on a map shows."""
 
 
 class Heat(NamedTuple):
@@ -49,30 +51,92 @@ def dark_map(fields: tuple[Fields, ...]) -> Heat | None:
         return None
     estimate = np.where(known, sums.score / np.where(known, sums.information, 1.0), 0.0)
     estimate = estimate - np.median(estimate[known])
-    noise = np.where(known, 1 / np.where(known, sums.information, 1.0), 0.0)
+    share, shot = _redrawn(fields, np.where(known, estimate, 0.0), thermal)
+    noise = np.where(known, share / np.where(known, sums.information, 1.0), 0.0)
     middle = estimate[known]
     limit = 8 * robust_std(middle, 0)
-    variance = max(float(np.mean(np.minimum(middle**2, limit**2))) - float(np.mean(noise[known])), 0.0)
+    mean_noise = float(np.mean(noise[known]))
+    variance = max(float(np.mean(np.minimum(middle**2, limit**2))) - mean_noise, 0.0)
+    # Warmer frames have more shot noise, and lie nearer to the mean by it: it moves with the temperature too.
+    moves = variance > _SURELY * np.sqrt(2 / middle.size) * mean_noise
+    told = variance + shot * noise * moves
     # Where the map as a whole does not show, its few far pixels still do.
     far = np.abs(estimate) > 5 * np.sqrt(noise)
-    shrunk = np.where(far, estimate, estimate * variance / np.maximum(variance + noise, 1e-30))
+    shrunk = np.where(far, estimate, estimate * told / np.maximum(variance + noise, 1e-30))
     return Heat(np.where(known, shrunk, 0.0), thermal) if np.any(shrunk) else None
 
 
-def _own(contrasts: np.ndarray, size: tuple[int, int], usable: np.ndarray) -> np.ndarray:
-    """Contrasts without what channels, rows, columns and small areas share: of far pixels no more than four
-    standard deviations, or they would spread over their lines."""
-    near = contrasts.clip(-4, 4) * usable
+def _redrawn(
+    fields: tuple[Fields, ...], level: Float[np.ndarray, "h w"], thermal: bool
+) -> tuple[float, float]:
+    """Share of the variance of the darks, as far as they tell of the map, that is left beside offsets of
+    frames and this map, and of that the share of shot noise of dark charge. Where the temperature moves, most
+    of the variance is no noise of the map."""
+    weights, shares, shots = [], [], []
+    current = _dark_current(fields)
+    for f in (f for f in fields if f.kind in DARK and len(f.contrasts) and f.usable.any()):
+        seconds = (f.exposure_s or 0.0) if thermal else 1.0
+        left = _less(f, f.contrasts, level * seconds)[:, f.usable]
+        share, variance = float(np.mean(left.clip(-_FAR, _FAR) ** 2)), float(np.median(f.sigma)) ** 2
+        weights.append(f.frames * seconds**2 / variance)
+        shares.append(share)
+        charge = float(np.mean(f.gain)) * current * (f.exposure_s or 0.0)
+        shots.append(min(max(charge, 0.0) / max(share * variance, 1e-12), 1.0))
+    if not np.any(weights):
+        return 1.0, 0.0
+    return min(float(np.average(shares, weights=weights)), 1.0), float(np.average(shots, weights=weights))
+
+
+def _noise(f: Fields) -> Float[np.ndarray, "h w"]:
+    """What the contrasts are in units of, DN."""
+    return f.sigma if f.louder is None else f.sigma * f.louder
+
+
+def _less(
+    f: Fields, contrasts: Float[np.ndarray, "n h w"], level: Float[np.ndarray, "h w"]
+) -> Float[np.ndarray, "n h w"]:
+    """Contrasts without what whole frames share, and without a map, DN."""
+    one = f.usable / _noise(f)  # an offset of the frame is less where the noise is more
+    unit = one / np.sqrt(max(float(np.sum(one**2)), 1e-30))
+
+    def apart(values: Float[np.ndarray, "*n h w"], shape: Float[np.ndarray, "h w"]):
+        return values - np.einsum("...ij,ij->...", values, shape)[..., None, None] * shape
+
+    t = apart(f.usable * level / _noise(f), unit)
+    power = float(np.sum(t**2))
+    c = apart(contrasts, unit)
+    return apart(c, t / np.sqrt(power)) if power > 0 else c
+
+
+def _alike(
+    contrasts: Float[np.ndarray, "n h w"], usable: Bool[np.ndarray, "h w"]
+) -> Float[np.ndarray, "n h w"]:
+    """Contrasts of one variance, and independent: warmer frames have more shot noise, so that contrasts
+    between frames are unlike and correlated, and the error of the map moves with the temperature as well."""
+    near = contrasts[:, usable].clip(-_FAR, _FAR)
+    values, vectors = np.linalg.eigh(near @ near.T / near.shape[1])
+    scale = np.sqrt(np.maximum(values, 1e-6) / max(float(values.mean()), 1e-6))
+    return np.einsum("nk,k,mk,mij->nij", vectors, 1 / scale, vectors, contrasts, optimize=True)
+
+
+def _own(
+    contrasts: Float[np.ndarray, "n h w"], usable: Bool[np.ndarray, "h w"], unit: Float[np.ndarray, "h w"]
+) -> Float[np.ndarray, "n h w"]:
+    """Contrasts without what channels, rows, columns and small areas share, DN: of far pixels no more than
+    four standard deviations, or they would spread over their lines. unit: what an offset of all pixels is in
+    each, relative to others."""
+    weight = usable * unit**2
+    near = contrasts.clip(-4, 4) / unit
     shared = np.zeros_like(contrasts)
-    channel = channel_index(size)
+    channel = channel_index(usable.shape)
     for c in range(4):
-        chosen = (channel == c) & usable
-        if chosen.any():
-            shared[:, channel == c] += near[:, chosen].mean(1)[:, None]
-    near = (near - shared) * usable
-    row = near.sum(2, keepdims=True) / np.maximum(usable.sum(1)[None, :, None], 1)
-    column = near.sum(1, keepdims=True) / np.maximum(usable.sum(0)[None, None, :], 1)
-    return _without_areas((contrasts - shared - row - column) * usable, usable)
+        chosen = channel == c
+        if weight[chosen].any():
+            shared[:, chosen] = np.average(near[:, chosen], axis=1, weights=weight[chosen])[:, None]
+    near = (near - shared) * weight
+    row = near.sum(2, keepdims=True) / np.maximum(weight.sum(1)[None, :, None], 1e-12)
+    column = near.sum(1, keepdims=True) / np.maximum(weight.sum(0)[None, None, :], 1e-12)
+    return _without_areas((contrasts - (shared + row + column) * unit) * usable, usable, unit)
 
 
 _AREA = 8
@@ -80,37 +144,44 @@ _AREA = 8
 
 
 def _without_areas(
-    values: Float[np.ndarray, "*n h w"], usable: Bool[np.ndarray, "h w"]
+    values: Float[np.ndarray, "*n h w"], usable: Bool[np.ndarray, "h w"], unit: Float[np.ndarray, "h w"]
 ) -> Float[np.ndarray, "*n h w"]:
     """Without the means of small areas. What regions share moves from frame to frame, and what of it is left
     in the mean of a few frames is in the map as well: their products are large by chance. Of far pixels no
     more than of the others, or they would spread over their areas."""
     limit = 4 * max(robust_std(values[..., usable], 0), 1e-12) if usable.any() else 0.0
-    count = np.maximum(area_sums(usable.astype(np.float32), _AREA), 1)
-    means = area_sums(values.clip(-limit, limit) * usable, _AREA) / count
+    weight = (usable * unit**2).astype(np.float32)
+    means = area_sums(values.clip(-limit, limit) / unit * weight, _AREA)
+    means = means / np.maximum(area_sums(weight, _AREA), 1e-12)
     rows, columns = (np.arange(n) // _AREA for n in usable.shape)
-    return (values - means[..., rows[:, None], columns]) * usable
+    return (values - means[..., rows[:, None], columns] * unit) * usable
 
 
 def _template(f: Fields, c: np.ndarray, level: np.ndarray, shot: np.ndarray, usable: np.ndarray):
     """The map in standard deviations, the contrasts beside it, and the weight of every pixel."""
-    weight = usable / (1 + 1.5 * shot)
-    template = level / f.sigma
+    noise = _noise(f)
+    weight, unit = usable / (1 + 1.5 * shot), float(np.median(noise)) / noise
+    template = level / noise
     # An offset of the whole frame is no part of it.
-    template = (template - np.sum(weight * template) / max(float(weight.sum()), 1e-9)) * usable
-    template = _without_areas(template, usable)
-    return template, _own(c, f.mean.shape, usable), weight
+    offset = np.sum(weight * unit * template) / max(float(np.sum(weight * unit**2)), 1e-9)
+    template = _without_areas((template - offset * unit) * usable, usable, unit)
+    return template, _own(c, usable, unit), weight
+
+
+_LEVERAGE = 0.999
+"""Most that one pixel tells of a change of temperature, so that something is left of the others."""
 
 
 def _by_map(fields: tuple[Fields, ...], heat: Heat):
-    """Per contrast of every dark: factor of the map, its information, and which recording."""
+    """Per contrast of every dark: factor of the map, its information, and which recording. The information is
+    by residuals over one less their leverage (HC3, MacKinnon and White, J. Econometrics 29, 1985)."""
     values, information, number = [], [], []
     for f in fields:
         if f.kind not in DARK or f.frames < 2 or not len(f.contrasts):
             continue
         seconds = (f.exposure_s or 0.0) if heat.thermal else 1.0
         level = heat.field * seconds
-        shot = float(np.mean(f.gain)) * np.maximum(level, 0.0) / f.sigma**2
+        shot = float(np.mean(f.gain)) * np.maximum(level, 0.0) / _noise(f) ** 2
         c = f.contrasts[: f.frames - 1]
         power = np.mean(c**2, 0)
         template, rest, weight = _template(f, c, level, shot, f.usable)
@@ -127,13 +198,15 @@ def _by_map(fields: tuple[Fields, ...], heat: Heat):
         i = float(np.sum(weight * template**2))
         if i <= 0:
             continue
-        # The scatter of single pixels, whatever the shot noise of the hot ones.
-        u = np.einsum("nij,ij->n", rest, weight * template)
-        v = np.einsum("nij,ij->n", rest**2, (weight * template) ** 2)
-        for a, b in zip(u, v, strict=True):
-            values.append(a / i)
-            information.append(i**2 / max(b, 1e-30))
-            number.append(f.number)
+        factor = np.einsum("nij,ij->n", rest, weight * template) / i
+        # The scatter of single pixels, whatever the shot noise of the hot ones, about what all others tell:
+        # about none it would hold the change itself, and of the largest weigh least.
+        share = np.minimum(weight * template**2 / i, _LEVERAGE)
+        beside = (rest - factor[:, None, None] * template) / (1 - share)
+        scatter = np.einsum("nij,ij->n", beside**2, (weight * template) ** 2)
+        values += list(factor)
+        information += list(i**2 / np.maximum(scatter, 1e-30))
+        number += [f.number] * len(factor)
     return np.array(values), np.array(information), np.array(number, int)
 
 
@@ -237,21 +310,18 @@ def _dark_current(fields: tuple[Fields, ...]) -> float:
 
 
 def without_warmth(fields: tuple[Fields, ...], score: Score[Heat | None]) -> tuple[Fields, ...]:
-    """Dark contrasts without the map, and without their own mean."""
+    """Dark contrasts without the map and their own mean, all of one variance."""
     heat = score.payload
     out = []
     for f in fields:
-        if f.kind not in DARK or not len(f.contrasts):
-            out.append(f)
-            continue
-        c = f.contrasts - f.usable * f.contrasts[:, f.usable].mean(1)[:, None, None]
-        if heat is not None:
-            seconds = (f.exposure_s or 0.0) if heat.thermal else 1.0
-            t = f.usable * heat.field * seconds / f.sigma
-            power = float(np.sum(t**2))
-            if power > 0:
-                c = c - np.einsum("nij,ij->n", c, t)[:, None, None] / power * t
-        out.append(f._replace(contrasts=c.astype(np.float32)))
+        if f.kind in DARK and len(f.contrasts) and f.usable.any():
+            seconds = 1.0 if heat is None or not heat.thermal else f.exposure_s or 0.0
+            level = np.zeros(f.mean.shape) if heat is None else heat.field * seconds
+            c = _less(f, f.contrasts, level)
+            if heat is not None:
+                c = _alike(c, f.usable)
+            f = f._replace(contrasts=c.astype(np.float32))
+        out.append(f)
     return tuple(out)
 
 

@@ -1,0 +1,75 @@
+"""A sensor that warms up while its darks are taken: by how much, and that nothing else is seen of it after."""
+
+import numpy as np
+import pytest
+
+from cannoise_jax.discovery.diagnose import diagnose
+from cannoise_jax.discovery.frames.splits import splits_of
+from cannoise_jax.signatures import warm
+from tests.discovery.beyond_camera import SIZE, frames_of, rejects, scores
+
+FRAMES = 10
+RISE = np.linspace(-3.0, 3.0, FRAMES)
+
+
+def ramp(spread, rate=20.0, kelvin=RISE):
+    """Dark charge, e-/s, whose pixels differ by a log-normal law, of frames of these temperatures."""
+    own = rate * np.exp(spread * np.random.default_rng(4).standard_normal(SIZE))
+
+    def add(e, rng, kind, seconds):
+        change = 2 ** (kelvin / 6.3) if kind == "dark" else np.ones(len(e))
+        return e + seconds * own * change[: len(e), None, None]
+
+    return add
+
+
+def captured(seed, mean=None, charge=None):
+    return frames_of(seed, mean=mean, charge=charge, scenes=0, frames=FRAMES)
+
+
+@pytest.mark.parametrize("spread", [0.5, 0.1, 0.03])
+def test_a_steady_rise_has_its_size_however_little_the_pixels_differ(spread):
+    """The contrasts hold the whole change, and where the map hardly shows the mean moves with the noise."""
+    capture = captured(31, ramp(spread))
+    found, fields, signatures = scores(capture)
+    longest = splits_of(capture).frames[2][0]
+    charge = 2 ** (RISE[longest] / 6.3)
+    true = np.std(charge, ddof=1) / np.mean(charge)
+    change = found["warm"].amplitude / (warm.DOUBLING_K / np.log(2))
+    assert rejects(found["warm"]) and change == pytest.approx(true, rel=0.2 if spread > 0.05 else 0.4)
+    left = warm.without_warmth(fields, found["warm"])
+    again = signatures["warm"].score(left)
+    assert again is None or not rejects(again)
+    for f in left:
+        if f.kind == "dark":
+            near = f.contrasts[:, f.usable].clip(-8, 8)
+            shared = near @ near.T / near.shape[1]
+            assert np.allclose(shared / np.trace(shared) * len(shared), np.eye(len(shared)), atol=0.01)
+
+
+def test_frames_of_one_temperature_are_not_warm_by_their_offsets():
+    """Beside a map of the dark current, whose pixels have more noise: an offset is less of it in these."""
+
+    def offsets(e, rng, kind, seconds):
+        return e + (kind == "dark") * 4 * rng.standard_normal((len(e), 1, 1))
+
+    found = diagnose(captured(32, ramp(0.5, kelvin=np.zeros(FRAMES)), offsets), compare=False)
+    assert "offset_drift" in found.findings and "temperature_drift" not in found.findings
+
+
+def test_nothing_else_is_found_of_a_sensor_that_warms_up():
+    found = diagnose(captured(33, ramp(0.4)), compare=False)
+    assert set(found.findings) <= {"temperature_drift", "dsnu", "dark_current", "hot_pixels"}
+    assert {"temperature_drift", "dark_current"} <= set(found.findings)
+
+
+def test_one_pixel_that_jumps_is_no_warmth():
+    """What a single pixel tells has no others to be held against."""
+    capture = captured(34)
+    jumps = np.random.default_rng(5).uniform(0, 4000, (len(capture.recordings), FRAMES))
+    for r, added in zip(capture.recordings, jumps, strict=True):
+        if r.kind == "dark":
+            r.frames[:, 40, 50] += (added * (r.exposure_s > 1)).astype(np.uint16)
+    fields = splits_of(capture).looking.fields
+    score = warm.warm_score(fields)
+    assert score is None or not rejects(score)
