@@ -1,4 +1,4 @@
-"""A sensor that warms up while its darks are taken: by how much, and that nothing else is seen of it after."""
+"""A sensor that warms up while its darks are taken: by how much, and that nothing else is seen of it."""
 
 import numpy as np
 import pytest

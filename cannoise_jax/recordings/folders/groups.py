@@ -61,13 +61,14 @@ def grouped(
     camera: the name of shots that state none.
     """
     clusters = _clusters([_temperature(s, overrides) for s in shots])
+    regulated = _clusters([_set_to(s, overrides) for s in shots])
     exposures = _exposures(shots, kinds, overrides)
     folders, gains = _folders(shots), _stated_gains(shots)
     members: dict[tuple, list[Shot]] = {}
-    for shot, cluster in zip(shots, clusters, strict=True):
+    for shot, cluster, held in zip(shots, clusters, regulated, strict=True):
         kind = kinds[shot.name]
         name = shot.about.get("filter") if kind in LIT else None
-        mode = _mode(shot, camera, overrides, cluster, gains.get(shot.name))
+        mode = _mode(shot, camera, overrides, held, gains.get(shot.name))
         iso = overrides.get("iso", shot.known.get("iso"))
         # Darks of unknown exposures that lie apart were taken apart: their dark charge may differ.
         place = folders[shot.name] if kind == "dark" and exposures[shot.name] is None else ""
@@ -130,10 +131,9 @@ def _stated_gains(shots: Sequence[Shot]) -> dict[str, float]:
 
 
 def _mode(
-    shot: Shot, camera: str, overrides: dict[str, Any], cluster: float | None, stated: float | None
+    shot: Shot, camera: str, overrides: dict[str, Any], regulated: float | None, stated: float | None
 ) -> tuple:
     known, about = shot.known, shot.about
-    regulated = cluster if about.get("set_temperature_c") is not None else None
     return (
         overrides.get("camera", known.get("camera", camera)),
         shot.shape[1:],
@@ -213,10 +213,18 @@ def seconds(value: float) -> str:
     return f"{1e3 * value:.4g}ms" if 0 < value < 0.1 else f"{value:.4g}s"
 
 
+def _set_to(shot: Shot, overrides: dict[str, Any]) -> float | None:
+    """What the camera is to regulate to; None where it is not stated to."""
+    held = shot.about.get("set_temperature_c")
+    return held if held is None else overrides.get("temperature_c", held)
+
+
 def _temperature(shot: Shot, overrides: dict[str, Any]) -> float | None:
-    return overrides.get(
-        "temperature_c", shot.about.get("set_temperature_c", shot.known.get("temperature_c"))
-    )
+    """What the camera regulates to where it is there; a cooler that still falls, or cannot, is not."""
+    held, there = shot.about.get("set_temperature_c"), shot.known.get("temperature_c")
+    if held is not None and (there is None or abs(there - held) <= ALIKE_KELVIN):
+        there = held
+    return overrides.get("temperature_c", there)
 
 
 def _exposures(

@@ -85,6 +85,20 @@ def test_two_settings_of_a_cooled_camera_that_does_not_state_them_are_said(tmp_p
     assert "temperatures from -10 to -5 C in one set" in notes(plan_folder(tmp_path))
 
 
+def test_a_cooler_that_is_not_there_yet_makes_another_recording_of_the_same_set(tmp_path):
+    """All frames state what it is set to; four biases what the sensor was at before."""
+    for n, celsius in enumerate((-10.1, -9.4, -10.0, -8.9, 3.0, 2.0, 1.5, 1.0)):
+        about = dict(IMAGETYP="Bias Frame", EXPTIME=0.0, CCD_TEMP=celsius, SET_TEMP=-10.0, INSTRUME="Acme")
+        shot(tmp_path / "in" / f"bias_{n}.fits", "bias", **about)
+    about |= dict(IMAGETYP="Flat Field", EXPTIME=2.0, CCD_TEMP=-10.0)
+    for n in (1, 2):
+        shot(tmp_path / "in" / f"flat_{n}.fits", "flat", **about)
+    plan = plan_folder(tmp_path / "in")
+    assert len(plan.sets) == 1
+    assert labels(plan) == {"flat_2s_-10C": 2, "bias_-10C": 4, "bias_2C": 4}
+    assert "temperatures from -10 to 1.88 C in one set" in notes(plan)
+
+
 def test_recordings_are_called_after_their_own_temperature(tmp_path):
     night(tmp_path, CCD_TEMP=-10.0)
     for n in (1, 2, 3):
