@@ -88,11 +88,11 @@ def test_two_settings_of_a_cooled_camera_that_does_not_state_them_are_said(tmp_p
 def test_a_cooler_that_is_not_there_yet_makes_another_recording_of_the_same_set(tmp_path):
     """All frames state what it is set to; four biases what the sensor was at before."""
     for n, celsius in enumerate((-10.1, -9.4, -10.0, -8.9, 3.0, 2.0, 1.5, 1.0)):
-        about = dict(IMAGETYP="Bias Frame", EXPTIME=0.0, CCD_TEMP=celsius, SET_TEMP=-10.0, INSTRUME="Acme")
-        shot(tmp_path / "in" / f"bias_{n}.fits", "bias", **about)
-    about |= dict(IMAGETYP="Flat Field", EXPTIME=2.0, CCD_TEMP=-10.0)
+        shot(tmp_path / "in" / f"bias_{n}.fits", "bias", IMAGETYP="Bias Frame", EXPTIME=0.0, INSTRUME="Acme",
+             CCD_TEMP=celsius, SET_TEMP=-10.0)  # fmt: skip
     for n in (1, 2):
-        shot(tmp_path / "in" / f"flat_{n}.fits", "flat", **about)
+        shot(tmp_path / "in" / f"flat_{n}.fits", "flat", IMAGETYP="Flat Field", EXPTIME=2.0, INSTRUME="Acme",
+             CCD_TEMP=-10.0, SET_TEMP=-10.0)  # fmt: skip
     plan = plan_folder(tmp_path / "in")
     assert len(plan.sets) == 1
     assert labels(plan) == {"flat_2s_-10C": 2, "bias_-10C": 4, "bias_2C": 4}
