@@ -23,6 +23,7 @@ from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.mechanisms.pedestal import PEDESTAL
 from cannoise_jax.mechanisms.residual import RESIDUAL
 from cannoise_jax.signatures.behind_gain import BEHIND
+from cannoise_jax.signatures.generic import BY_ITS_SAMPLER
 from cannoise_jax.signatures.recorded import Recorded
 from cannoise_jax.signatures.signature import Signature
 from cannoise_jax.vocabulary import UNKNOWN, Term
@@ -76,12 +77,29 @@ def signatures(recorded: Recorded, entries: tuple[Entry, ...] = ENTRIES) -> tupl
 
     Raises ValueError where two have one name: scores are kept by it, so that one would be lost.
     """
-    found = (*(s for entry in entries for s in entry.looks(recorded)), *unnamed.signatures(recorded))
+    nameless = unnamed.signatures(recorded)
+    named = (_at_its_place(s, nameless) for entry in entries for s in entry.looks(recorded))
+    found = (*named, *nameless)
     for name, count in Counter(s.name for s in found).items():
         if count > 1:
             of = ", ".join(sorted({s.mechanism or UNKNOWN.id for s in found if s.name == name}))
             raise ValueError(f"{name}: {count} signatures of this name, of {of}: give each a name of its own")
     return tuple(_on_both_sides(_covering_all(s, found), found) for s in found)
+
+
+def _at_its_place(signature: Signature, nameless: tuple[Signature, ...]) -> Signature:
+    """A signature of which only the sampler is known, which the structures at its own place speak for: by a
+    statistic of its own each tells more of it than a template, and what is found there has its name."""
+    if signature.axes.law != BY_ITS_SAMPLER:
+        return signature
+
+    def place(s: Signature) -> tuple[str, str, str]:
+        return s.axes.varies_over, s.axes.time, s.axes.scales
+
+    same = tuple(s.name for s in nameless if place(s) == place(signature))
+    return dataclasses.replace(
+        signature, covers=(*signature.covers, *same), lifted_by=(*signature.lifted_by, *same)
+    )
 
 
 def _covering_all(signature: Signature, found: tuple[Signature, ...]) -> Signature:

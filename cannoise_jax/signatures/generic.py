@@ -40,6 +40,8 @@ from cannoise_jax.signatures.signature import (
     Signature,
 )
 
+BY_ITS_SAMPLER = "by its sampler"
+"""The law of one number of such a mechanism: none in closed form."""
 _ENOUGH = 0.5
 """Coefficients that tell the noise, for each that tells the effect: with fewer the noise is that of all.
 No value from 0.1 to 2 changes the log p of two mechanisms of the tests."""
@@ -104,7 +106,7 @@ def by_sampling(
         return (
             Signature(
                 name=name,
-                axes=Axes(point.stage, point.over, point.time, scales, "by its sampler"),
+                axes=Axes(point.stage, point.over, point.time, scales, BY_ITS_SAMPLER),
                 reads=CONTRASTS | STATIC,
                 score=score,
                 absorb=absorb,
@@ -123,7 +125,7 @@ def by_sampling(
         fit = variance_component(power, information, dof)
         sigma = float(np.sqrt(fit.variance))
         error = fit.error / (2 * sigma) if sigma > 0 else float(np.sqrt(fit.error))
-        quoted = seen.unit
+        quoted, error = seen.unit, float(np.hypot(error, 0.5 * min(seen.doubt, 1.0) * sigma))
         return Score(
             log_p=fit.log_p,
             gain=fit.gain,

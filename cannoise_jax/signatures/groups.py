@@ -190,8 +190,9 @@ def shared(
     covers: tuple[str, ...],
 ) -> Signature:
     """Offsets (or factors of the light) shared by the pixels of each group of a layout."""
-    over: PlaceName = "diagonal" if "diagonal" in layout_name else "channel"
-    over = "block" if "tile" in layout_name else over
+    over: PlaceName = "block" if "tile" in layout_name else "channel"
+    over = "diagonal" if layout_name == "diagonal" else over
+    over = "antidiagonal" if layout_name == "antidiagonal" else over
 
     def point(found: Found) -> Point:
         if scaling != "additive":
@@ -200,7 +201,7 @@ def shared(
             side = int(layout_name.removeprefix("tile_"))
             blocks = (-(-found.size[0] // side), -(-found.size[1] // side))
             return Point("readout", "signal", "block", time, blocks=blocks)
-        return Point("readout", "signal", layout_name if over == "diagonal" else "channel", time)  # type: ignore[arg-type]
+        return Point("readout", "signal", over, time)  # type: ignore[arg-type]
 
     reads = CONTRASTS if time == "redrawn" else STATIC
     return Signature(

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from cannoise_jax.discovery.diagnose import diagnose
+from cannoise_jax.discovery.frames.splits import splits_of
+from cannoise_jax.discovery.proof.judged import searched
 from cannoise_jax.discovery.report.document import document
 from cannoise_jax.discovery.report.page import place
 from cannoise_jax.discovery.search.declare import registered
@@ -143,6 +145,96 @@ def test_it_is_found_named_fitted_proved_and_simulated(own, sigma):
         jax.random.key(0), np.zeros(SIZE, np.float32), Settings(frames=4)
     )
     assert np.std(np.asarray(drawn, float) - np.asarray(less, float)) > 0
+
+
+SMALL = (48, 64)
+
+
+def quarter(key, x, values, maps, context):
+    """A factor of the light on a quarter of the frame: one number a frame."""
+    on = (jnp.indices(context.size) < jnp.array(context.size)[:, None, None] // 2).all(0)
+    factor = 1 + values["sigma"] * jax.random.normal(key, (len(x), 1, 1))
+    return context.black_level + (x - context.black_level) * jnp.where(on, factor, 1.0)
+
+
+def response(key, x, values, maps, context):
+    """Rows that answer to light by factors of their own."""
+    return context.black_level + (x - context.black_level) * (1 + values["sigma"] * maps["rows"])
+
+
+def leaks(key, x, values, maps, context):
+    """Columns of more dark signal than others, DN a second."""
+    return x + values["sigma"] * context.exposure_s * maps["columns"]
+
+
+def crossed(key, x, values, maps, context):
+    """Antidiagonals that share noise."""
+    shared = jax.random.normal(key, (len(x), sum(context.size) - 1))
+    return x + values["sigma"] * shared[:, jnp.indices(context.size).sum(0)]
+
+
+def lines(key, values, context):
+    drawn = jax.random.normal(key, (1, sum(context.size)))
+    return {"rows": drawn[:, : context.size[0], None], "columns": drawn[:, None, context.size[0] :]}
+
+
+def of(id, sample, point, unit, sigma):
+    parameter = Parameter("sigma", unit, sigma, 0.0, 1e4, "rms")
+    maps = lines if point.time == "frozen" else None
+    record = Mechanism(id, point, (parameter,), sample=sample, draw_maps=maps, home="own:HERE")
+    return Entry(Term(id, "Of the tests.", None, "sensor", unit, RMS), record, needs="flats and darks")
+
+
+def planted(which, sigma):
+    """The same in NumPy."""
+
+    def alter(rng):
+        rows, columns = rng.standard_normal((SMALL[0], 1)), rng.standard_normal(SMALL[1])
+        y, x = np.indices(SMALL)
+
+        def change(dn, signal, kind, exposure):
+            if which is leaks:
+                return dn + sigma * exposure * columns
+            if which is crossed:
+                return dn + sigma * rng.standard_normal(sum(SMALL))[y + x]
+            on = (y < SMALL[0] // 2) & (x < SMALL[1] // 2)
+            factor = rows if which is response else on * rng.standard_normal()
+            return dn + sigma * factor * (dn - 200.0)
+
+        return change
+
+    return alter
+
+
+@pytest.mark.parametrize(
+    "sample, sigma, point, unit",
+    [
+        (response, 0.02, Point("readout", "signal", "row", "frozen", "multiply"), "1"),
+        (leaks, 20.0, Point("readout", "signal", "column", "frozen"), "DN/s"),
+        (crossed, 2.0, Point("readout", "signal", "antidiagonal", "redrawn"), "DN"),
+    ],
+)
+def test_it_has_its_name_where_the_package_looks_for_what_has_none(sample, sigma, point, unit):
+    """By a statistic in closed form, which tells more than draws do."""
+    own = of("of_tests", sample, point, unit, sigma / 2)
+    capture = capture_set(83, planted(sample, sigma), kinds="df", size=SMALL)
+    found = diagnose(capture, mechanisms=(own,), compare=False)
+    assert found.findings[0] == "of_tests"
+    assert found.fitted.steps[0].named.score.amplitude == pytest.approx(sigma, rel=0.25)
+
+
+def test_its_strength_does_not_hang_on_its_name():
+    """With which its template is drawn: of one number a frame few draws tell the power."""
+    capture = capture_set(84, planted(quarter, 0.02), kinds="f", frames=16, size=SMALL)
+    names = ("of_tests", "quarter")
+    at = Point("readout", "signal", "block", "redrawn", "multiply")
+    own = registered((), [of(n, quarter, at, "1", 0.01) for n in names])
+    prepared = splits_of(capture, entries=searched(own)).looking
+    scores = [s.score(prepared.fields) for s in prepared.signatures if s.mechanism in names]
+    assert len(scores) == len(names)
+    strengths = [s.amplitude for s in scores]
+    assert np.ptp(strengths) < 0.2 * np.mean(strengths)
+    assert all(s.error > 0.02 * s.amplitude for s in scores)
 
 
 @pytest.mark.slow
