@@ -105,6 +105,7 @@ def about_of(header: Mapping[str, Any], planes: int = 1) -> dict[str, Any]:
     return {
         "doubt": _doubt(header, planes),
         "image_type": image_type or None,
+        "object": text_in(header, "OBJECT") or None,
         "filter": name if name.lower() not in NOT_STATED else None,
         "binning": binning_of(header),
         "origin": None if origin == (0, 0) else origin,

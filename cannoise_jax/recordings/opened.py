@@ -43,9 +43,10 @@ class Opened(NamedTuple):
 
     frames: `uint16[T, H, W]`, mostly lazy. known: fields of `Recording` that the file states.
     about: what a file may state beside them, None or absent where it does not:
-      image_type (the header's own words), filter, binning, origin (of a sub-frame), offset (of the camera's
-      black, in its own steps), mode (of the readout), gain_setting (in the camera's own unit, where its scale
-      is unknown), set_temperature_c, taken_s (when the exposure began, of any epoch),
+      image_type (the header's own words), object (what was looked at), filter, binning, origin (of a
+      sub-frame), offset (of the camera's black, in its own steps), mode (of the readout), gain_setting (in
+      the camera's own unit, where its scale is unknown), set_temperature_c, taken_s (when the exposure began,
+      of any epoch),
       settings (words of the readout and what they say, see `fits_readout`),
       combined (how many frames were averaged or added, or the words that say so), black_from (what
       `black_level` was measured on), bits (8 where a file holds no more, whose values are in other units than

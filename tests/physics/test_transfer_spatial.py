@@ -1,7 +1,9 @@
 """Smooth shading and the likeness of neighbours, which fixed patterns are measured beside."""
 
 import numpy as np
+import pytest
 
+from cannoise_jax.physics.transfer.photon_transfer import photon_transfer
 from cannoise_jax.physics.transfer.response import response_of
 from cannoise_jax.physics.transfer.spatial import (
     TemporalParts,
@@ -10,6 +12,7 @@ from cannoise_jax.physics.transfer.spatial import (
     spatial_split,
     temporal_mean_square,
 )
+from cannoise_jax.recordings.recording import CaptureSet, Recording
 
 
 def test_shading_keeps_pixels_and_takes_the_slope():
@@ -61,3 +64,22 @@ def test_pixels_that_are_left_out_make_no_lines():
         found.append(spatial_split(pattern, keep, parts))
     lines = np.array([(f.row.value, f.column.value) for f in found])
     assert np.all(np.abs(lines.mean(0)) < 3 * lines.std(0) / np.sqrt(20))
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.05])
+def test_light_that_leans_to_another_side_hides_no_pattern(turn):
+    """As of a sky behind a mount that turns round, half way through the flats."""
+    rng, size, frames = np.random.default_rng(8), (96, 128), 8
+    response = 1 + 0.006 * rng.standard_normal(size)
+    lean = 1 + turn * np.linspace(-1, 1, size[1])
+    light = 15000 * np.stack([response * (lean if n < frames // 2 else lean[::-1]) for n in range(frames)])
+
+    def stored(kind, electrons):
+        codes = 300 + 0.5 * (rng.poisson(electrons) + 4 * rng.standard_normal((frames, *size)))
+        codes = np.rint(codes).astype(np.uint16)
+        return Recording(codes, "MONO", (300.0,) * 4, 65535.0, kind=kind, exposure_s=1.0)
+
+    capture = CaptureSet("c", (stored("dark", np.zeros((frames, *size))), stored("flat", light)))
+    (transfer,) = photon_transfer(capture)
+    found, *_ = transfer.outcomes("PRNU1288", "%")
+    assert found.value == pytest.approx(0.6, rel=0.03) and found.ci90[1] - found.ci90[0] < 0.05

@@ -32,6 +32,7 @@ from cannoise_jax.physics.transfer.quiet import (
 from cannoise_jax.physics.transfer.rails import below_rail, is_below_rail
 from cannoise_jax.physics.transfer.response import Response, response_of
 from cannoise_jax.physics.transfer.spatial import (
+    SHADING_DEGREES,
     Split,
     TemporalParts,
     spatial_split,
@@ -56,10 +57,13 @@ _UNSTEADY = 0.01
 """Relative temporal modulation of rows by the light above which fixed row patterns of a flat are hidden."""
 
 
-def temporal_parts(s: FrameStatistics, c: int, relative: bool = False) -> TemporalParts:
+def temporal_parts(s: FrameStatistics, c: int, relative: bool = False, degree: int = 0) -> TemporalParts:
     """Temporal variances of one channel of a repeated recording, for `spatial_split`. relative: of the
-    signal above black, instead of DN. Where the light drifts the average of the frames has more of the
-    bright ones, and less shot noise than those have by themselves."""
+    signal above black, instead of DN. degree: of shading that moves, and is taken out.
+
+    Where the light drifts the average of the frames has more of the bright ones, and less shot noise than
+    those have by themselves.
+    """
     rows, columns = line_means(s, c)
     square, keep = quiet_mean_square(s, c)
     if relative:
@@ -68,8 +72,8 @@ def temporal_parts(s: FrameStatistics, c: int, relative: bool = False) -> Tempor
         less_noise = float(np.median(site(of_variance(s), c)))
         rows, columns = ((v - black) / level[:, None] * less_noise**0.5 for v in (rows, columns))
         square /= less_noise * float(level.mean()) ** 2
-    row, row_dof = temporal_mean_square(rows)
-    column, column_dof = temporal_mean_square(columns)
+    row, row_dof = temporal_mean_square(rows, degree=degree)
+    column, column_dof = temporal_mean_square(columns, degree=degree)
     return TemporalParts(square, keep.sum() * s.dof, row, row_dof, column, column_dof, s.recording.count)
 
 
@@ -154,6 +158,8 @@ def _prnu(alone: LightAlone, unseen: float, c: int, black: PerChannel) -> dict[s
     level = flat.frame_means[:, c].mean() - black[c]
     signal = site(flat.mean, c) - black[c]
     unsteady = _modulation(parts, signal.shape, dark, c, level) > _UNSTEADY
+    # As of the pattern: light that turns is none of it.
+    parts = temporal_parts(flat, c, relative=True, degree=SHADING_DEGREES[0])
     _, keep = robust_mean_square(pixel_variance(flat, c) / np.maximum(signal, 1), flat.dof)
     keep &= below_rail(flat, c)
     if dark is not None:

@@ -50,8 +50,11 @@ class TemporalParts:
     frames: int
 
 
-def temporal_mean_square(means: Float[np.ndarray, "T n"], turns: int = 1) -> tuple[float, float]:
-    """Temporal mean square of row (or column) means over frames, and its degrees of freedom.
+def temporal_mean_square(
+    means: Float[np.ndarray, "T n"], turns: int = 1, degree: int = 0
+) -> tuple[float, float]:
+    """Temporal mean square of row (or column) means over frames, and its degrees of freedom. degree: of the
+    polynomials of each frame that are no part of it, as of a light that leans to another side.
 
     What a frame does as a whole is taken out, and with turns = 2 what its even and its odd lines do: lines
     across them that are read apart leave their mean there. Neighbours may be correlated, and values
@@ -61,7 +64,11 @@ def temporal_mean_square(means: Float[np.ndarray, "T n"], turns: int = 1) -> tup
     rest = means - means.mean(0)
     for k in range(turns):
         rest[:, k::turns] -= rest[:, k::turns].mean(1, keepdims=True)
-    plain = (frames - 1) * (count - turns)
+    degree = min(degree, count - turns - 1)
+    if degree > 0:
+        smooth = np.linalg.qr(legendre.legvander(np.linspace(-1, 1, count), degree))[0][:, 1:]
+        rest -= rest @ smooth @ smooth.T
+    plain = (frames - 1) * (count - turns - degree)
     square = float(np.sum(rest**2) / plain)
     if square <= 0:
         return 0.0, float(plain)

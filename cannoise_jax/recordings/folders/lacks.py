@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import PurePath
 
 import numpy as np
 
@@ -19,12 +21,35 @@ NO_LIGHT = (
 )
 
 
+_APART_DN, _APART = 20.0, 8.0
+"""DN, and times what files of one folder differ, from which on darks of two folders are no repeats."""
+
+
 def contradictions(groups: Sequence[Group]) -> list[str]:
-    """That the flats of one set are darker than all its darks."""
+    """That the flats of one set are darker than all its darks, and darks of two folders far apart."""
     flats, darks = _flats_and_darks(groups)
+    out = [line for g in groups if g.kind in DARK and (line := _of_two_places(g))]
     if not (flats and darks) or max(max(s.medians) for s in flats) >= min(min(s.medians) for s in darks):
-        return []
-    return [f"{listed([s.name for s in flats])}: flats darker than every dark: are the kinds swapped?"]
+        return out
+    return [*out, f"{listed([s.name for s in flats])}: flats darker than every dark: are the kinds swapped?"]
+
+
+def _of_two_places(group: Group) -> str:
+    """That the darks of one recording lie in two folders, each alike and both far apart: headers that say
+    nothing make two cameras, or two of their settings, one. Empty where they do not."""
+    places: dict[str, list[Shot]] = {}
+    for s in (s for s in group.shots if not s.whole):
+        places.setdefault(PurePath(s.name).parent.as_posix(), []).append(s)
+    own = sorted((p for p in places.values() if len(p) > 1), key=level_of)
+    within = max((float(np.ptp([level_of([s]) for s in p])) for p in own), default=0.0)
+    for low, high in pairwise(own):
+        if level_of(high) - level_of(low) > max(_APART_DN, _APART * within):
+            return (
+                f"{group.kind}: {listed([s.name for s in low])} lie at {level_of(low):.0f} DN, "
+                f"{listed([s.name for s in high])} at {level_of(high):.0f} DN: of two cameras or settings, "
+                "which no header tells apart: convert each folder by itself, or --leave-out one"
+            )
+    return ""
 
 
 _BIAS_S = 0.01

@@ -19,10 +19,18 @@ _CELSIUS = re.compile(r"(?<![\d.,])([+-]?\d+(?:\.\d+)?) ?(?:°c|degc|c)(?![a-z\d
 _BINNING = re.compile(r"(?<![a-z])bin(?:ning)?[ _-]?(\d)(?:x(\d))?", re.IGNORECASE)
 
 
-def named_kind(path: PurePath) -> str | None:
-    """The kind that the file's name says, or else its nearest folder: dark flats are darks."""
+_OF_FRAMES = {"field", "frame", "frames", "sky", "dome", "sequence", "test", "current", "level"}
+"""Words beside that of a kind, where an object is called after what frames show."""
+
+
+def named_kind(path: PurePath, target: str | None = None) -> str | None:
+    """The kind that the file's name says, or else its nearest folder: dark flats are darks. target: what the
+    frame is of, as its header has it, whose name says no kind: the Dark Shark is a nebula."""
+    words = re.findall(r"[^\W_]+", target or "")
+    other = any(not kinds_in(w) and w.lower() not in _OF_FRAMES and not w.isdigit() for w in words)
+    name = r"[\W_]*".join(map(re.escape, words)) if kinds_in(target or "") and other else None
     for part in (path.stem, *reversed(path.parent.parts)):
-        said = kinds_in(part)
+        said = kinds_in(part if name is None else re.sub(name, " ", part, flags=re.IGNORECASE))
         if said:
             return one_of(said)
     return None

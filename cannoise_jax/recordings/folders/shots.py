@@ -245,7 +245,8 @@ def _shot(path: Path, name: str, given: frozenset[str], counters: frozenset[str]
         top = int(first.max())
     sites = [np.median(first[SITES[s]]) if min(shape[1:]) > 1 else first[0, 0] for s in range(4)]
     shot = Shot(
-        *(path, name, False, shape, known, about, known.pop("kind", None), named_kind(Path(name))),
+        *(path, name, False, shape, known, about, known.pop("kind", None)),
+        named_kind(Path(name), about.get("object")),
         *(per_channel(np.array(sites)), top, _step(first), check, tuple(middle)),
         sites=site_levels(first),
     )

@@ -81,6 +81,30 @@ def test_words_that_are_unknown_in_several_ways_are_no_lights(tmp_path):
     assert "img_1.fits: IMAGETYP 'Zorbl'" in said and "img_2.fits: IMAGETYP 'Gnarf'" in said
 
 
+@pytest.mark.parametrize(
+    "target, kind", [("Dark Shark", "light"), ("LDN 1235", "dark"), ("Dark", "dark"), ("dark frame", "dark")]
+)
+def test_the_name_of_what_was_looked_at_is_no_kind(tmp_path, target, kind):
+    """Files of software that heads all it takes as lights are what their names say."""
+    night(tmp_path)
+    folder = tmp_path / ("Dark_Shark" if "Shark" in target else "dark_60s")
+    for n in (1, 2):
+        about = {"IMAGETYP": "LIGHT", "EXPTIME": 60.0, "INSTRUME": "Acme 100", "OBJECT": target}
+        shot(folder / f"x_{n}.fits", "dark", seed=n, **about)
+    groups = labels(plan_folder(tmp_path))
+    assert groups.get("dark_60s") == (2 if kind == "light" else 4)
+
+
+@pytest.mark.parametrize("other, said", [(1200.0, True), (1008.0, False)])
+def test_biases_of_two_folders_that_lie_apart_are_no_one_recording(tmp_path, other, said):
+    """Without a word in their headers of which camera they are."""
+    for folder, level in (("first", 1000.0), ("second", other)):
+        for n in range(3):
+            shot(tmp_path / folder / f"bias_{n}.fits", "bias", electrons=(level - 1000) / 2)
+    problems = " ".join(plan_folder(tmp_path).problems)
+    assert ("of two cameras or settings, which no header tells apart" in problems) == said
+
+
 def test_dark_flats_are_darks(tmp_path):
     night(tmp_path)
     shot(tmp_path / "DARKFLAT" / "1.fits", "dark", IMAGETYP="DARKFLAT", EXPTIME=2.0, INSTRUME="Acme 100")
