@@ -208,7 +208,10 @@ def dark_currents(series: Series, gain_error: float = 0.0) -> tuple[Estimate, Es
             f"used, or the darks have {ratio:.2g} times the gain of the flats"
         )
     if apart > 0:
-        note = "exceeds what the variance allows: light leak, or black level rising with exposure"
+        note = "exceeds what the variance allows: black level rising with exposure"
+        if by_variance.value > _RISES * second:
+            ratio = by_variance.value / by_mean.value
+            note += f", or the darks have {ratio:.2g} times the gain of the flats"
     return by_mean, by_variance, False, note
 
 

@@ -33,10 +33,12 @@ from cannoise_jax.physics.transfer.estimators import telegraph as telegraph_pixe
 from cannoise_jax.physics.transfer.estimators.light_alone import light_alone
 from cannoise_jax.physics.transfer.estimators.loud_lines import lines_of
 from cannoise_jax.physics.transfer.estimators.maps import (
+    Pattern,
     column_part,
     offset_pattern,
     pixel_part,
     response_pattern,
+    white_lines,
 )
 from cannoise_jax.physics.transfer.estimators.pick import (
     brightest_flat,
@@ -191,6 +193,28 @@ def shrunk(
     return share * shown / sigma + np.sqrt(1 - share) * rest
 
 
+def _of_pixels(
+    found: Pattern, sigma: float, noise: float | np.ndarray, light: float | np.ndarray, rest: np.ndarray
+) -> np.ndarray:
+    """A pattern of pixels in units of its rms, with those means of rows and columns that independent pixels
+    have: where lines have a pattern of their own theirs is told from it by its size."""
+    drawn = white_lines(rest)
+    field = shrunk(found.pixels / light, sigma, noise, rest - drawn)
+    for seen, chance in zip(_by_axis(np.asarray(found.lines)), _by_axis(drawn), strict=True):
+        own = sigma**2 * float(np.mean(chance**2))
+        share = min(own / max(float(np.mean(seen**2)), 1e-30), 1.0)
+        field = field + share * seen / light / sigma + np.sqrt(1 - share) * chance
+    return field
+
+
+def _by_axis(lines: Float[np.ndarray, "H W"]) -> tuple[np.ndarray, np.ndarray]:
+    """The means of rows, and those of columns, of their sum."""
+    rows = np.empty(lines.shape)
+    for c in range(4):
+        site(rows, c)[...] = site(lines, c).mean(1, keepdims=True)
+    return rows, lines - rows
+
+
 def offsets(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
     """Fixed offsets of the pixels, in units of their rms."""
     dark = darkest(seen.statistics)
@@ -198,7 +222,7 @@ def offsets(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
         return {}
     found = offset_pattern(dark, charge.grown(seen.statistics, seen.baseline, dark))
     rest = seen.draw(found.pixels.shape)
-    field = shrunk(found.pixels, values["sigma_dn"], found.noise, rest)
+    field = _of_pixels(found, values["sigma_dn"], found.noise, 1.0, rest)
     # Of a pixel far out nothing is noise, and of a hot one everything is its heat.
     out = (dark.mean - np.median(dark.mean)) / values["sigma_dn"]
     far = np.abs(out) * values["sigma_dn"] > 6 * np.sqrt(found.noise)
@@ -221,7 +245,7 @@ def response(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
     light = np.maximum(found.light, 0.01)
     # Of the strength as it is recorded: a response that bends may have changed it.
     sigma = root(pixel_part(found)).value or values["sigma"]
-    field = shrunk(found.pixels / light, sigma, found.noise / light, rest)
+    field = _of_pixels(found, sigma, found.noise / light, light, rest)
     return {"field": np.where(found.keep, field, rest)[None]}
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from cannoise_jax.recordings.folders.exposures import exposed, judged_exposures
 from cannoise_jax.recordings.folders.full import with_full_codes
-from cannoise_jax.recordings.folders.groups import Group, differing, grouped
+from cannoise_jax.recordings.folders.groups import Group, differing, grouped, word_of
 from cannoise_jax.recordings.folders.kinds import TAKEN_AS_LIGHTS, kinds_of, of_other_kinds
 from cannoise_jax.recordings.folders.lacks import NO_LIGHT, contradictions, lacks
 from cannoise_jax.recordings.folders.levels import Levels, levels
@@ -203,7 +203,7 @@ def _sets(groups: list[Group], overrides: dict[str, Any]) -> list[CaptureGroups]
         out.append(("lights", scenes, reason))
     for mode in order[1:]:
         differs = list(differing(mode, order[0]))
-        reason = ", ".join(f"{n} is {a}, not {b}" for n, a, b in differs)
+        reason = ", ".join(_unlike(*one) for one in differs)
         name = "_".join(f"{n}_{a}".replace(" ", "_") for n, a, _ in differs[:2])
         out.append((name, by_mode[mode], reason))
     first = CaptureGroups("", _labelled(main), levels(main, overrides))
@@ -265,3 +265,13 @@ def _of_another_camera(one: CaptureGroups, main: CaptureGroups) -> list[str]:
 
 def _as_folder(name: str) -> str:
     return "".join(c if c.isalnum() or c in "-_." else "-" for c in name)[:60]
+
+
+def _unlike(name: str, here: str, there: str) -> str:
+    """What a set differs in from the first, in words."""
+    silent = word_of(None, "gain")
+    if there == silent:
+        return f"{name} is {here}, where the others state none"
+    return (
+        f"{name} is {silent}, {there} in the others" if here == silent else f"{name} is {here}, not {there}"
+    )

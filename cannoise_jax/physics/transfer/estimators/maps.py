@@ -53,7 +53,7 @@ class Pattern(NamedTuple):
 
     pixels: with channel, row and column means taken out. columns: means per row parity. keep: which pixels
     count. noise: temporal variance that the average of frames still holds. smooth: degree of the shading
-    taken out. light: smooth light of a flat, 1 on average.
+    taken out. light: smooth light of a flat, 1 on average. lines: the row and column means, at every pixel.
     """
 
     pixels: Float[np.ndarray, "H W"]
@@ -63,6 +63,7 @@ class Pattern(NamedTuple):
     noise_dof: float
     smooth: int = 0
     light: Float[np.ndarray, "H W"] | float = 1.0
+    lines: Float[np.ndarray, "H W"] | float = 0.0
 
 
 def offset_pattern(
@@ -77,7 +78,8 @@ def offset_pattern(
     offsets, _ = _split(mean, keep)
     keep &= np.abs(offsets) < HOT * robust_std(offsets[keep], 0)
     pixels, columns = _split(mean, keep)
-    return Pattern(pixels, columns, keep, noise * variance / dark.recording.count, dof)
+    lines = line_part(mean, pixels, keep)
+    return Pattern(pixels, columns, keep, noise * variance / dark.recording.count, dof, lines=lines)
 
 
 def response_pattern(flat: FrameStatistics, dark: DarkMap | None) -> Pattern:
@@ -103,7 +105,7 @@ def response_pattern(flat: FrameStatistics, dark: DarkMap | None) -> Pattern:
         noise += left / (level * scale) ** 2 / 4
         dof += variance.size * flat.dof
     pixels, columns = _split(relative, keep)
-    return Pattern(pixels, columns, keep, noise, dof, degree, light)
+    return Pattern(pixels, columns, keep, noise, dof, degree, light, line_part(relative, pixels, keep))
 
 
 def dsnu(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
@@ -278,6 +280,23 @@ def _split(values: Float[np.ndarray, "H W"], keep: Bool[np.ndarray, "H W"]) -> t
         columns[c // 2, c % 2 :: 2] = column[0]
         part -= np.where(inside, row + column, 0.0)
     return pixels, columns
+
+
+def line_part(
+    values: Float[np.ndarray, "H W"], pixels: Float[np.ndarray, "H W"], keep: Bool[np.ndarray, "H W"]
+) -> Float[np.ndarray, "H W"]:
+    """The row and column means that `pixels` are left without, channel means out; zero where not kept."""
+    lines = np.where(keep, values - pixels, 0.0)
+    for c in range(4):
+        part, inside = site(lines, c), site(keep, c)
+        part -= np.where(inside, part.sum() / max(inside.sum(), 1), 0.0)
+    return lines
+
+
+def white_lines(values: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "H W"]:
+    """The row and column means of numbers of which each is its pixel's own."""
+    keep = np.ones(values.shape, bool)
+    return line_part(values, _split(values, keep)[0], keep)
 
 
 def pixel_part(pattern: Pattern) -> Estimate:
