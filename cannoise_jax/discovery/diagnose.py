@@ -96,7 +96,8 @@ def diagnose(
     simulator: 'poisson-gaussian', calibrated from the recordings; 'nlf', the files' shot and read as stated;
     a sensor model or its sensor.json, a training folder, or any function (key, clean, settings) -> DN.
     alpha: false-alarm rate of the whole run. without, mechanisms: names that may not, or may alone, be given;
-    `mechanisms` may hold entries of one's own, which are looked for too. compare: also run the two-sample
+    `mechanisms` may hold entries of one's own, which are looked for too, and which a sensor.json may name.
+    compare: also run the two-sample
     test. tell: called with one line per stage. Frames without noise, moving scenes beside flats and flats
     whose light moves are left out with a `LeftOutWarning`; faults are said with a `FaultWarning`.
     Raises BadInput for a simulator that cannot be judged, frames of several sizes, where too few are left,
@@ -127,7 +128,7 @@ def diagnose(
     for line in unsteady:
         warnings.warn(line, LeftOutWarning, stacklevel=2)
     tell("calibrate: black level, gain and read noise")
-    judged = opened(capture, simulator, key, tell)
+    judged = opened(capture, simulator, key, tell, [m for m in mechanisms or () if isinstance(m, Entry)])
     raw = splits_of(judged.capture, judged.stated, judged.drawn, searched(entries))
     own = own_effects(judged.drawn, entries, judged.own_names(allowed, entries), log_alpha)
     too_much = excess(own, raw.looking)

@@ -97,6 +97,13 @@ def test_a_mechanism_of_ones_own_is_looked_for_by_its_sampler(tmp_path, monkeypa
     assert "droop" in [
         m.mechanism for m in SensorModel.load(tmp_path / "out" / "sensor.json", entries).mechanisms
     ]
+    model = tmp_path / "out" / "sensor.json"
+    second = ["--recordings", str(folder), "--out", str(tmp_path / "second"), "--simulator", str(model)]
+    assert main(second) == 2
+    assert "needs the mechanism droop" in capsys.readouterr().err
+    assert main([*second, "--mechanisms", "droop:DROOP"]) == 0
+    again = json.loads((tmp_path / "second" / "report.json").read_text())
+    assert "droop" not in [f["mechanism"] for f in again["findings"] if f["confirmed"]]
     sys.modules.pop("droop", None)
     assert main([*arguments[:-1], "droop", "--force"]) == 2
     assert "names nothing" in capsys.readouterr().err

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -87,8 +87,10 @@ def opened(
     simulator: str | Path | SensorModel | Draw,
     key: Key[Array, ""],
     tell: Callable[[str], None],
+    mechanisms: Sequence[Entry] = (),
 ) -> Judged:
-    """The simulator as it is judged. Raises BadInput for one that cannot be, or not be calibrated."""
+    """The simulator as it is judged. mechanisms: see `open_simulator`. Raises BadInput for one that cannot
+    be, or not be calibrated."""
     told = any(r.count > 1 or (r.shot and r.read) for r in capture.recordings)
     if simulator == CALIBRATED and not told:
         raise BadInput(
@@ -101,7 +103,7 @@ def opened(
         )
     if simulator in (CALIBRATED, STATED):
         return Judged(capture, str(simulator), simulator == STATED)
-    handed = open_simulator(simulator, capture)
+    handed = open_simulator(simulator, capture, mechanisms)
     tell("draw: frames of the simulator at the settings of the recordings")
     drawn = simulate_like(capture, handed.draw, jax.random.fold_in(key, 1), handed.dark)
     return Judged(as_simulated(capture, drawn), handed.label, True, handed, drawn)
