@@ -55,6 +55,8 @@ from cannoise_jax.discovery.search.fit import Fitted, Step, stepwise
 from cannoise_jax.discovery.search.locate import locate
 from cannoise_jax.discovery.search.maps import beside_others
 from cannoise_jax.discovery.search.name import Doubt
+from cannoise_jax.mechanisms import ENTRIES
+from cannoise_jax.mechanisms.checked import check_draws
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
@@ -100,7 +102,8 @@ def diagnose(
     compare: also run the two-sample
     test. tell: called with one line per stage. Frames without noise, moving scenes beside flats and flats
     whose light moves are left out with a `LeftOutWarning`; faults are said with a `FaultWarning`.
-    Raises BadInput for a simulator that cannot be judged, frames of several sizes, where too few are left,
+    Raises BadInput for a simulator that cannot be judged, functions of one's own that fail, frames of several
+    sizes, where too few are left,
     for flats and darks of two gains, and for scenes that move where no flats are, ValueError for unknown
     names or an alpha out of (0, 1), TypeError for what is no capture set or no key.
     """
@@ -113,6 +116,7 @@ def diagnose(
     log_alpha = float(np.log(alpha * (SHARED.names if compare else 1.0)))
     entries = declare.registered(without, mechanisms)
     allowed = frozenset(entry.id for entry in entries)
+    check_draws((e for e in entries if e not in ENTRIES), capture.recordings[0].size)
 
     capture, left_out = usable(capture, unsteady=True)
     capture, moved = without_moving(capture)

@@ -98,14 +98,13 @@ def compare_bank(
 
     held_back: of every recording the frames that are looked at, and those before them which lend their mean
     alone (all frames where not given). mechanisms: entries from outside the package that a sensor.json may
-    name. Raises BadInput for a simulator that cannot be judged, ValueError
-    for an alpha out of (0, 1), TypeError for what is no capture set or no key.
+    name. Raises BadInput for a simulator that cannot be judged, ValueError for an alpha out of (0, 1),
+    TypeError for what is no capture set or no key.
     """
     if not 0 < alpha < 1:
         raise ValueError(f"alpha must lie between 0 and 1, got {alpha}")
     capture, key = checked_capture(capture), checked_key(key)
-    given = isinstance(simulator, Source)
-    source = simulator if given else open_source(simulator, capture, key, mechanisms)
+    source = simulator if isinstance(simulator, Source) else open_source(simulator, capture, key, mechanisms)
     chosen = held_back or [([], chosen_frames(r).tolist()) for r in capture.recordings]
     work = [
         (len(a) + len(b)) * r.size[0] * r.size[1] if b else 0

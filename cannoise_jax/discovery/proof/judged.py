@@ -18,6 +18,7 @@ from cannoise_jax.discovery.proof.lowered import lowered
 from cannoise_jax.discovery.proof.sides import Sides, handed_simulators, simulators
 from cannoise_jax.discovery.search.fit import Fitted, Step, stepwise, without_all
 from cannoise_jax.mechanisms import ENTRIES
+from cannoise_jax.mechanisms.checked import maps_of
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Mechanism
@@ -187,6 +188,6 @@ def _searchable(entry: Entry) -> Entry:
         name=f"sampled_{entry.id}",
         known={},
         simulated=entry.term.kind == "sensor",
-        maps_of=entry.pattern,
+        maps_of=maps_of(entry),
     )
     return dataclasses.replace(entry, signatures=looks)
