@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cannoise_jax.mechanisms.entry import Entry
-from cannoise_jax.physics.core.foreign import called
+from cannoise_jax.physics.core.foreign import called, of_another_type
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Mechanism
 from cannoise_jax.physics.core.ranges import check_point
@@ -101,10 +101,7 @@ def maps_of(entry: Entry) -> Callable[..., dict[str, Any]] | None:
     def pattern(recorded, values) -> dict[str, Any]:
         maps = called(entry.id, "`pattern`", function, recorded, values)
         if not isinstance(maps, Mapping):
-            kind = type(maps).__name__
-            raise BadInput(
-                f"{entry.id}: its `pattern` returns a value of type {kind}: return its maps by name"
-            )
+            raise of_another_type(entry.id, "`pattern`", maps, "its maps by name")
         return {name: called(entry.id, f"`pattern` ({name})", as_map, m) for name, m in maps.items()}
 
     return pattern
@@ -149,16 +146,11 @@ def _one_line(id: str, what: str, function: Callable[..., Any]) -> Callable[...,
 def _check_estimates(entry: Entry, found: Any) -> None:
     id, known = entry.id, entry.record.defaults()
     if not isinstance(found, Mapping) or not found:
-        kind = type(found).__name__
-        raise BadInput(
-            f"{id}: its estimator returns a value of type {kind}: return estimates by parameter, or NotMeasurable"
-        )
+        raise of_another_type(id, "estimator", found, "estimates by parameter, or NotMeasurable")
     for name, estimate in found.items():
         if name not in known:
             raise BadInput(f"{id}: its estimator measures {name!r:.80}: it has {', '.join(known)}")
         if not isinstance(estimate, Estimate):
-            raise BadInput(
-                f"{id}: its estimator gives {name} as a value of type {type(estimate).__name__}: give an Estimate"
-            )
+            raise of_another_type(id, f"estimator ({name})", estimate, "an Estimate")
         if not np.isfinite(estimate.value):
             raise BadInput(f"{id}: its estimator gives {name} = {estimate.value}: give a finite number")

@@ -7,10 +7,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from cannoise_jax.physics.core.foreign import called
+from cannoise_jax.physics.core.foreign import called, of_another_type
 from cannoise_jax.physics.core.mechanism import Mechanism
 from cannoise_jax.physics.transfer.estimator import Estimator
-from cannoise_jax.recordings.recording import BadInput, Kind
+from cannoise_jax.recordings.recording import Kind
 from cannoise_jax.signatures.generic import MapsOf
 from cannoise_jax.signatures.recorded import Recorded
 from cannoise_jax.signatures.score import Score
@@ -100,10 +100,7 @@ class Entry:
             return tuple(dataclasses.replace(s, mechanism=self.id) for s in self.signatures(recorded))
         found = called(self.id, "`signatures`", self.signatures, recorded)
         if not isinstance(found, tuple | list) or not all(isinstance(s, Signature) for s in found):
-            kind = type(found).__name__
-            raise BadInput(
-                f"{self.id}: its `signatures` returns a value of type {kind}: return a tuple of Signature"
-            )
+            raise of_another_type(self.id, "`signatures`", found, "a tuple of Signature")
         return tuple(dataclasses.replace(s, mechanism=self.id, **_in_one_line(self.id, s)) for s in found)
 
     @property
@@ -131,9 +128,7 @@ def _in_one_line(id: str, signature: Signature) -> dict[str, Callable[..., Any]]
         def call(*given: Any, **named: Any) -> Any:
             found = called(id, what, function, *given, **named)
             if name in _SCORES and not isinstance(found, Score | None):
-                raise BadInput(
-                    f"{id}: its {what} returns a value of type {type(found).__name__}: return a Score, or None"
-                )
+                raise of_another_type(id, what, found, "a Score, or None")
             return found
 
         return call

@@ -52,7 +52,8 @@ def of(**changes):
 
 
 def named(id):
-    return dataclasses.replace(of(id=id), term=dataclasses.replace(OWN.term, id=id))
+    record = dataclasses.replace(OWN.record, id=id)
+    return dataclasses.replace(OWN, term=dataclasses.replace(OWN.term, id=id), record=record)
 
 
 def numpy_alone(key, x, values, maps, context):
@@ -136,7 +137,7 @@ def test_signatures_fail_in_one_line_and_those_of_the_kit_are_left_as_they_are()
         (signature,) = looking(score=score).looks(RECORDED)
         with pytest.raises(BadInput, match=f"^stripes: its `score` of own {said}"):
             signature.score(fields)
-    (plain,) = OWN.signatures(RECORDED) or looking().looks(RECORDED)
+    (plain,) = looking().looks(RECORDED)
     (other,) = looking().signatures(RECORDED)
     assert plain.predict is other.predict and plain.quoted is other.quoted
 
@@ -150,9 +151,9 @@ def estimating(measure):
     [
         (lambda: 1 / 0, "estimator fails .ZeroDivisionError"),
         (lambda: 3.0, "returns a value of type float"),
-        (lambda: {}, "returns a value of type dict"),
+        (dict, "returns a value of type dict"),
         (lambda: {"nope": normal_estimate(1.0, 0.1)}, "measures 'nope': it has sigma_dn"),
-        (lambda: {"sigma_dn": 1.0}, "gives sigma_dn as a value of type float"),
+        (lambda: {"sigma_dn": 1.0}, "estimator .sigma_dn. returns a value of type float"),
         (lambda: {"sigma_dn": normal_estimate(float("nan"), 0.1)}, "sigma_dn = nan"),
     ],
 )

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
 from cannoise_jax.physics.core import tukey_lambda
-from cannoise_jax.physics.core.foreign import called
+from cannoise_jax.physics.core.foreign import called, of_another_type
 from cannoise_jax.physics.core.mechanism import ACTS_ON, Context, Effect, Mechanism, Noise
 from cannoise_jax.physics.core.poisson_gaussian import centred_uniform, sample_normal, sample_poisson
 from cannoise_jax.recordings.recording import BadInput
@@ -64,9 +64,7 @@ def _checked_maps(record: Mechanism, maps, size: tuple[int, int]) -> dict[str, A
     if not record.home:
         return maps
     if not isinstance(maps, Mapping):
-        raise BadInput(
-            f"{record.id}: its `draw_maps` returns a value of type {type(maps).__name__}: return maps by name"
-        )
+        raise of_another_type(record.id, "`draw_maps`", maps, "maps by name")
     for name, values in maps.items():
         shape = called(record.id, f"`draw_maps` ({name})", jnp.shape, values)
         fits = all(have in (1, want) for have, want in zip(shape[-2:], size, strict=False))
@@ -86,9 +84,7 @@ def altered_noise(model, context: Context, values) -> Noise:
             maps = maps_of(model, i, values[i], context)
             noise = _answer(fitted.record, "baseline", noise, values[i], maps, context)
             if not isinstance(noise, Noise):
-                raise BadInput(
-                    f"{fitted.mechanism}: its `baseline` returns a value of type {type(noise).__name__}: return a Noise"
-                )
+                raise of_another_type(fitted.mechanism, "`baseline`", noise, "a Noise")
     return noise
 
 
@@ -140,9 +136,7 @@ def closed_form(model, context: Context, values) -> tuple[Array, Array]:
         def effect_at(mean, record=record, value=values[i], maps=maps, own=own):
             effect = _answer(record, "effect", value, maps, seen_at(inner, mean, own))
             if not isinstance(effect, Effect):
-                raise BadInput(
-                    f"{record.id}: its `effect` returns a value of type {type(effect).__name__}: return an Effect"
-                )
+                raise of_another_type(record.id, "`effect`", effect, "an Effect")
             return effect
 
         def after(mean, effect_at=effect_at):

@@ -35,6 +35,11 @@ def called(id: str, what: str, function: Callable[..., Any], *given: Any, **name
         raise BadInput(f"{id}: its {what} fails ({words[:_LONGEST]}): mend it") from error
 
 
+def of_another_type(id: str, what: str, returned: Any, wanted: str) -> BadInput:
+    """Says that a function of a mechanism returned something else than what is `wanted`, in words."""
+    return BadInput(f"{id}: its {what} returns a value of type {type(returned).__name__}: return {wanted}")
+
+
 def of_interrupt(error: BaseException | None) -> bool:
     """Whether an error is Ctrl-C, or what somebody made of it: Python itself has RuntimeError for one that
     comes in `__set_name__`, as in a late import."""
