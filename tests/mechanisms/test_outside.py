@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax import SensorModel, Settings
+from cannoise_jax.commands import compare as compare_command
 from cannoise_jax.commands import simulate
 from cannoise_jax.commands.denoise_sources import check_sources
 from cannoise_jax.discovery.compare import compare
@@ -21,7 +22,7 @@ from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Parameter
 from cannoise_jax.physics.core.sensor_json import write_sensor
 from cannoise_jax.physics.initial_noise import sensors_of
-from cannoise_jax.recordings.native import read_recording
+from cannoise_jax.recordings.native import read_recording, write_recording
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.vocabulary import Term
 from tests.discovery.capture import capture_set
@@ -111,6 +112,17 @@ def test_its_stored_model_is_a_simulator_where_its_entry_is_given(droop, tmp_pat
     opened = open_simulator("sensor.json", capture, (*ENTRIES, droop))
     assert [f.mechanism for f in opened.model.mechanisms] == ["droop"]
     assert compare(capture, "sensor.json", mechanisms=[droop]).bank.label == "sensor.json"
+
+
+def test_compare_takes_its_stored_model_with_the_flag(droop, tmp_path, capsys):
+    write_sensor("sensor.json", SensorModel.poisson_gaussian(2.0, 3.0, 64, 4095).with_mechanism(droop))
+    (tmp_path / "in").mkdir()
+    for recording in capture_set(3, kinds="d", size=(48, 64)).recordings:
+        write_recording(tmp_path / "in" / recording.path, recording)
+    asked = ["--recordings", "in", "--simulator", "sensor.json"]
+    assert compare_command.main(asked) == 2
+    assert "as with --mechanisms droop:DROOP" in capsys.readouterr().err.splitlines()[-1]
+    assert compare_command.main([*asked, "--mechanisms", "droop:DROOP"]) == 0
 
 
 def test_what_takes_no_entries_does_not_ask_for_one(droop, tmp_path):
