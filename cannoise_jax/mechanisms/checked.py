@@ -13,7 +13,7 @@ import numpy as np
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.physics.core.foreign import called, of_another_type
 from cannoise_jax.physics.core.grammar import Point
-from cannoise_jax.physics.core.mechanism import Mechanism
+from cannoise_jax.physics.core.mechanism import Mechanism, Parameter, Scaling
 from cannoise_jax.physics.core.ranges import check_point
 from cannoise_jax.physics.core.registry import check_record
 from cannoise_jax.physics.core.sensor import SensorModel
@@ -26,7 +26,6 @@ from cannoise_jax.signatures.sampled import strength_of
 from cannoise_jax.vocabulary import UNKNOWN, Term
 
 _OF_RECORD = ("sample", "baseline", "draw_maps", "effect", "amplitude")
-_CAMERA = SensorModel.poisson_gaussian
 _FRAMES = 2
 
 
@@ -42,6 +41,10 @@ def check_entry(entry: Entry) -> None:
         raise ValueError(f"{id!r:.80}: is no name of a mechanism: letters, digits and _, as in row_offset")
     if id == UNKNOWN.id or id.startswith(f"{UNKNOWN.id}_"):
         raise ValueError(f"{id:.80}: findings without a name are called so: choose another")
+    if not all(isinstance(p, Parameter) for p in record.parameters):
+        raise TypeError(f"{id}: its parameters are {record.parameters!r:.80}: give a tuple of Parameter")
+    if not isinstance(record.scaling, Scaling):
+        raise TypeError(f"{id}: its scaling is of type {type(record.scaling).__name__}: give a Scaling")
     check_record(record)
     if not isinstance(record.point, Point):
         raise TypeError(f"{id}: its point is of type {type(record.point).__name__}: give a grammar.Point")
@@ -67,14 +70,14 @@ def check_draws(entries: Iterable[Entry], size: tuple[int, int]) -> None:
     """Calls the functions of entries from outside once, for frames of [H, W], the sampler as under jit.
 
     Raises BadInput in one line that names the entry for whatever they raise or return that is of no use, and
-    ValueError where its typical values are out of its ranges."""
+    for typical values out of its ranges."""
     for entry in entries:
         id, record = entry.id, entry.record
         strength = strength_of(record)
         values: dict[str, Any] = {**record.defaults()}
         # One that is off by default is tried where it is on.
         values[strength.name] = values[strength.name] or min(strength.high, 1.0)
-        model = _CAMERA(1.0, 2.0, 64.0, 4095.0).with_mechanism(record, **values)
+        model = _with(entry, values)
         settings = dataclasses.replace(DEFAULT, frames=_FRAMES)
         frames = jax.ShapeDtypeStruct(size, jnp.float32)
         jax.eval_shape(
@@ -89,7 +92,16 @@ def check_draws(entries: Iterable[Entry], size: tuple[int, int]) -> None:
         if not np.isfinite(amount := called(id, "`amplitude`", quoted, values, context)):
             raise BadInput(f"{id}: its `amplitude` is {amount} at its typical values: mend it")
         if pattern := maps_of(entry):
-            model.without(id).with_mechanism(record, maps=pattern(np.ones(size), values), **values)
+            _with(entry, values, pattern(np.ones(size), values))
+
+
+def _with(entry: Entry, values: Mapping[str, Any], maps: dict[str, Any] | None = None) -> SensorModel:
+    """A camera with the mechanism. Raises BadInput for values and maps that it does not have."""
+    camera = SensorModel.poisson_gaussian(1.0, 2.0, 64.0, 4095.0)
+    try:
+        return camera.with_mechanism(entry.record, maps=maps, **values)
+    except (ValueError, TypeError) as error:
+        raise BadInput(f"{error}") from error
 
 
 def maps_of(entry: Entry) -> Callable[..., dict[str, Any]] | None:

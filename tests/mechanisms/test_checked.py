@@ -81,6 +81,8 @@ def test_one_that_works_passes():
         (of(amplitude=None), "`amplitude` is of type NoneType"),
         (of(point=Point("readout", "signal", "pixel", "redrawn", spectrum="power_law")), "runs over rows"),
         (of(point=SimpleNamespace(**dataclasses.asdict(OWN.record.point))), "give a grammar.Point"),
+        (of(parameters=("sigma_dn",)), "give a tuple of Parameter"),
+        (of(scaling=None), "its scaling is of type NoneType"),
         (dataclasses.replace(OWN, needs=None), "`needs` is None"),
         (dataclasses.replace(OWN, signatures=None), "`signatures` is of type NoneType"),
         (dataclasses.replace(OWN, estimator=lambda s, b: {}), "`estimator` is of type function"),
@@ -95,6 +97,8 @@ def test_what_shows_without_a_call(entry, said):
 @pytest.mark.parametrize(
     ("entry", "said"),
     [
+        (of(parameters=(Parameter("sigma_dn", "DN", float("nan"), 0.0, 1e4),)), "not a finite number"),
+        (of(parameters=(Parameter("sigma_dn", "DN", 3.0, 0.0, 1.0),)), "sigma_dn = 3 is outside 0 to 1"),
         (of(sample=lambda key, x, values, maps, context: x * values["no"]), "`sample` fails .KeyError: 'no'"),
         (of(sample=lambda key, x: x), "`sample` fails .TypeError"),
         (of(sample=lambda *given: None), "its sampler returns a value of type NoneType"),
@@ -112,7 +116,7 @@ def test_what_shows_without_a_call(entry, said):
     ],
 )
 def test_what_a_call_shows(entry, said):
-    with pytest.raises(ValueError, match=f"^stripes: .*{said}") as error:
+    with pytest.raises(BadInput, match=f"^stripes: .*{said}") as error:
         check_draws([entry], SIZE)
     assert "\n" not in str(error.value)
 
