@@ -77,6 +77,10 @@ def _run(arguments: argparse.Namespace) -> int:
     from cannoise_jax.recordings.atomic import new_folder, texts_in_place
 
     check_place(arguments.out)
+    if own:
+        from cannoise_jax.mechanisms.checked import check_draws
+
+        check_draws(own, capture.recordings[0].size)
     transfers, said = _photon_transfers(capture)
     findings = _mechanisms_of(transfers, own)
     now_at("putting the camera model and the table together")
@@ -161,21 +165,15 @@ def _version() -> str:
 
 def _own(places: Sequence[str]) -> tuple[Entry, ...]:
     """The user's own entries. Raises BadInput where one has no estimator: nothing would measure it."""
+    if not places:
+        return ()
+    from cannoise_jax.mechanisms.checked import measurable
     from cannoise_jax.mechanisms.outside import entries_of
-    from cannoise_jax.physics.core.registry import check_record
 
-    own = entries_of(places)
-    for entry in own:
-        try:
-            check_record(entry.record)
-        except ValueError as error:
-            raise BadInput(f"{error}") from error
-        if entry.estimator is None:
-            raise BadInput(
-                f"{entry.id}: has no estimator, so nothing is measured of it: give its entry one, or search "
-                "for it with bin/diagnose --mechanisms, which needs none"
-            )
-    return own
+    try:
+        return measurable(entries_of(places))
+    except (ValueError, TypeError) as error:
+        raise BadInput(str(error)) from error
 
 
 def calibrate(
@@ -184,8 +182,13 @@ def calibrate(
     """Photon transfer at every ISO, and the mechanisms at the first ISO that has a baseline. own: mechanisms
     of the caller's that are measured too, each with an estimator.
 
-    Raises BadInput when the recordings cannot be used together.
+    Raises BadInput when the recordings cannot be used together or a function of `own` fails, ValueError and
+    TypeError for entries that are none.
     """
+    from cannoise_jax.mechanisms.checked import check_draws, measurable
+
+    own = measurable(own)
+    check_draws(own, capture.recordings[0].size)
     transfers, _ = _photon_transfers(capture)
     return transfers, _mechanisms_of(transfers, own)
 

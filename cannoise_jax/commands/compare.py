@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 from cannoise_jax.commands.entry import cache_folder, command, progress, show_warnings, stages
 from cannoise_jax.commands.outputs import check_folder
-from cannoise_jax.commands.parser import OneLineParser, add_recording_flags, folder, options, seed
+from cannoise_jax.commands.parser import (
+    OneLineParser,
+    add_mechanisms_flag,
+    add_recording_flags,
+    folder,
+    options,
+    seed,
+)
 from cannoise_jax.recordings.recording import BadInput
 
 if TYPE_CHECKING:
@@ -86,8 +93,16 @@ def _check_named(simulator: str) -> None:
 
 def _compared(arguments: argparse.Namespace, simulators: list[str], tell) -> tuple[list[Comparison], Any]:
     """One comparison a simulator, and which of two is nearer."""
+    from cannoise_jax.mechanisms.outside import entries_of
     from cannoise_jax.recordings.folders.store import capture_of
     from cannoise_jax.recordings.usable import usable
+
+    own = entries_of(arguments.mechanisms)
+    for simulator in simulators:
+        if Path(simulator).suffix == ".json" and Path(simulator).is_file():
+            from cannoise_jax.discovery.frames.simulate import check_file
+
+            check_file(simulator, own)
 
     capture, plan = capture_of(
         arguments.recordings, options(arguments), cache_folder(), progress("reading files")
@@ -106,7 +121,7 @@ def _compared(arguments: argparse.Namespace, simulators: list[str], tell) -> tup
         print(f"bin/compare: {line}", file=sys.stderr, flush=True)
 
     key = jax.random.key(arguments.key)
-    found = [compare(capture, s, key, alpha=arguments.alpha, tell=tell) for s in simulators]
+    found = [compare(capture, s, key, alpha=arguments.alpha, mechanisms=own, tell=tell) for s in simulators]
     return found, better(found[0].bank, found[1].bank) if len(found) == 2 else None
 
 
@@ -159,6 +174,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--alpha", type=float, default=0.01, help="chance of a false alarm of the run")
     parser.add_argument("--key", type=seed, default=0, help="seed of everything random")
+    add_mechanisms_flag(parser, "entries of your own that a sensor.json names")
     add_recording_flags(parser)
     parser.add_argument("--force", action="store_true", help="replace results that exist")
     return parser

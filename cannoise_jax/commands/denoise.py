@@ -41,6 +41,7 @@ from cannoise_jax.commands.outputs import check_file, check_folder, make_folder
 from cannoise_jax.commands.parser import (
     OneLineParser,
     add_level_flags,
+    add_mechanisms_flag,
     count,
     folder,
     overrides,
@@ -75,6 +76,7 @@ def _train(arguments, argv) -> None:
     import jax
     from tqdm import tqdm
 
+    from cannoise_jax.mechanisms.outside import entries_of
     from cannoise_jax.training.denoise import Recipe, check_size, save_denoiser, train_denoiser
     from cannoise_jax.training.denoise_data import dim_scenes, half_real, stamp
     from cannoise_jax.training.noise_sources import open_source
@@ -87,7 +89,8 @@ def _train(arguments, argv) -> None:
     )
     check_folder(arguments.workdir, (), force=True)
     labels = labels_of(arguments.noise)
-    check_sources(labels)
+    entries = entries_of(arguments.mechanisms)
+    check_sources(labels, entries)
     capture = capture_of(arguments.recordings, overrides(arguments))
     every = {exposure: half_real(capture, exposure, arguments.full_scale) for exposure in arguments.exposure}
     for data in every.values():
@@ -118,7 +121,8 @@ def _train(arguments, argv) -> None:
                         jax.random.key(1), "train", recipe.scenes, data.train.shape[1:], data.cfa
                     )
                 if source is None:
-                    source = open_source(name, data, sensors, generators_of(name, data, sensors, arguments))
+                    generators = generators_of(name, data, sensors, arguments)
+                    source = open_source(name, data, sensors, generators, entries)
                 started = time.monotonic()
                 about: dict[str, Any] = {
                     "noise": label, "seed": seed, "camera": data.camera, "exposure_s": exposure,
@@ -210,6 +214,7 @@ def _parser() -> argparse.ArgumentParser:
         "discovered, ours_on_calibrated, ours_on_discovered (a generator that starts from that "
         "sensor model), real_darks, a sensor.json, or a trained model; A+real_darks: five to one",
     )  # fmt: skip
+    add_mechanisms_flag(train, "entries of your own that a sensor.json names")
     add("--exposure", type=_exposures, default=(0.1, 10.0, 100.0), metavar="S,...", help="of the darks")
     add("--full-scale", type=_positive, default=100.0, metavar="E", help="electrons of full scale")
     add("--seeds", type=count, default=3, help="training runs of each")

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cannoise_jax.commands.outputs import make_folder
 from cannoise_jax.recordings.atomic import texts_in_place
 from cannoise_jax.recordings.opened import json_of
 from cannoise_jax.recordings.recording import BadInput
+
+if TYPE_CHECKING:
+    from cannoise_jax.mechanisms.entry import Entry
 
 _VERDICT = "gain.json"
 
@@ -28,8 +31,10 @@ def labels_of(names: str) -> dict[str, str]:
     return out
 
 
-def check_sources(labels: dict[str, str]) -> None:
-    """Raises BadInput, before anything is made, for the name of no noise model."""
+def check_sources(labels: dict[str, str], mechanisms: Sequence[Entry] = ()) -> None:
+    """Raises BadInput, before anything is made, for the name of no noise model, and for a sensor.json that is
+    none. mechanisms: entries from outside the package that it may name."""
+    from cannoise_jax.physics.core.sensor import SensorModel
     from cannoise_jax.training.noise_sources import FITTED, NAMED, REFINED
 
     known = (*NAMED, *FITTED, *REFINED)
@@ -38,6 +43,8 @@ def check_sources(labels: dict[str, str]) -> None:
             raise BadInput(
                 f"--noise {name}: neither {', '.join(known)}, nor a sensor.json or a trained model"
             )
+        if name not in known and Path(name).suffix == ".json" and Path(name).is_file():
+            SensorModel.load(name, mechanisms)
 
 
 def is_refined(name: str) -> bool:

@@ -133,9 +133,9 @@ def _diagnosed(arguments: argparse.Namespace, tell: Stages, started: float) -> t
     simulator = arguments.simulator
     if _is_function(simulator):
         simulator = function_at(simulator)
-    elif simulator not in _BUILT_IN:
-        check_file(simulator)
     without, mechanisms = _named(arguments)
+    if isinstance(simulator, str) and simulator not in _BUILT_IN:
+        check_file(simulator, mechanisms)
     chosen = options(arguments)
     capture, plan = capture_of(arguments.recordings, chosen, cache_folder(), progress("reading files"))
     if plan:

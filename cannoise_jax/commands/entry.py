@@ -18,6 +18,7 @@ from typing import Any
 
 from cannoise_jax.commands.compiled import caches
 from cannoise_jax.commands.pulse import Pulse, Stream, beating, current, fitting
+from cannoise_jax.physics.core.foreign import of_interrupt, of_memory
 from cannoise_jax.recordings.recording import BadInput, printable
 
 _SILENT_S, _EVERY_S, _SOON_S = 2.0, 5.0, 0.05
@@ -44,7 +45,7 @@ def command(name: str) -> Callable[[Main], Main]:
                     sys.stdout.flush()
                     return status
                 except BaseException as error:
-                    if _of_interrupt(error):
+                    if of_interrupt(error):
                         print(f"bin/{name}: interrupted", file=sys.stderr)
                         return 130
                     if (said := _of_the_machine(error)) is None:
@@ -63,7 +64,7 @@ def command(name: str) -> Callable[[Main], Main]:
 
 def _of_the_machine(error: BaseException) -> str | None:
     """One line for what the system refuses at a place where nobody foresaw it; None for other errors."""
-    if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error)[:200]:  # of NumPy, of JAX
+    if of_memory(error):
         return "not enough memory for frames of this size and number: give fewer, or smaller ones"
     if isinstance(error, OSError) and error.filename is not None and error.strerror:
         name = os.fsdecode(error.filename) if isinstance(error.filename, (str, bytes)) else error.filename
@@ -71,18 +72,6 @@ def _of_the_machine(error: BaseException) -> str | None:
         shown = name if len(name) <= _LONGEST else f"{name[:_LONGEST]}..."
         return f"{shown}: cannot be used ({error.strerror}): name another one"
     return None
-
-
-def _of_interrupt(error: BaseException | None) -> bool:
-    """Whether an error is Ctrl-C, or what somebody made of it: Python itself has RuntimeError for one that
-    comes in `__set_name__`, as in a late import."""
-    seen: set[int] = set()
-    while error is not None and id(error) not in seen:
-        if isinstance(error, KeyboardInterrupt):
-            return True
-        seen.add(id(error))
-        error = error.__cause__ or error.__context__
-    return False
 
 
 @contextmanager

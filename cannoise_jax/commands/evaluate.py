@@ -167,8 +167,12 @@ def _flow(bench, arguments, tell):
 def _sensor_files(path: Path, cameras) -> dict[str, Any]:
     """One sensor.json a camera, named after it. Raises BadInput where one is missing."""
     from cannoise_jax.physics.core.sensor import SensorModel
+    from cannoise_jax.physics.core.sensor_json import MissingEntry
 
-    return {camera.name: SensorModel.load(path / f"{camera.name}.json") for camera in cameras}
+    try:
+        return {camera.name: SensorModel.load(path / f"{camera.name}.json") for camera in cameras}
+    except MissingEntry as error:
+        raise error.not_taken("bin/evaluate") from error
 
 
 def _plain(value: Any) -> Any:

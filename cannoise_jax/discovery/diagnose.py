@@ -55,6 +55,8 @@ from cannoise_jax.discovery.search.fit import Fitted, Step, stepwise
 from cannoise_jax.discovery.search.locate import locate
 from cannoise_jax.discovery.search.maps import beside_others
 from cannoise_jax.discovery.search.name import Doubt
+from cannoise_jax.mechanisms import ENTRIES
+from cannoise_jax.mechanisms.checked import check_draws
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
@@ -96,10 +98,12 @@ def diagnose(
     simulator: 'poisson-gaussian', calibrated from the recordings; 'nlf', the files' shot and read as stated;
     a sensor model or its sensor.json, a training folder, or any function (key, clean, settings) -> DN.
     alpha: false-alarm rate of the whole run. without, mechanisms: names that may not, or may alone, be given;
-    `mechanisms` may hold entries of one's own, which are looked for too. compare: also run the two-sample
+    `mechanisms` may hold entries of one's own, which are looked for too, and which a sensor.json may name.
+    compare: also run the two-sample
     test. tell: called with one line per stage. Frames without noise, moving scenes beside flats and flats
     whose light moves are left out with a `LeftOutWarning`; faults are said with a `FaultWarning`.
-    Raises BadInput for a simulator that cannot be judged, frames of several sizes, where too few are left,
+    Raises BadInput for a simulator that cannot be judged, functions of one's own that fail, frames of several
+    sizes, where too few are left,
     for flats and darks of two gains, and for scenes that move where no flats are, ValueError for unknown
     names or an alpha out of (0, 1), TypeError for what is no capture set or no key.
     """
@@ -112,6 +116,7 @@ def diagnose(
     log_alpha = float(np.log(alpha * (SHARED.names if compare else 1.0)))
     entries = declare.registered(without, mechanisms)
     allowed = frozenset(entry.id for entry in entries)
+    check_draws((e for e in entries if e not in ENTRIES), capture.recordings[0].size)
 
     capture, left_out = usable(capture, unsteady=True)
     capture, moved = without_moving(capture)
@@ -127,7 +132,7 @@ def diagnose(
     for line in unsteady:
         warnings.warn(line, LeftOutWarning, stacklevel=2)
     tell("calibrate: black level, gain and read noise")
-    judged = opened(capture, simulator, key, tell)
+    judged = opened(capture, simulator, key, tell, [m for m in mechanisms or () if isinstance(m, Entry)])
     raw = splits_of(judged.capture, judged.stated, judged.drawn, searched(entries))
     own = own_effects(judged.drawn, entries, judged.own_names(allowed, entries), log_alpha)
     too_much = excess(own, raw.looking)

@@ -5,13 +5,15 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from cannoise_jax.physics.core.foreign import called, of_another_type
 from cannoise_jax.physics.core.mechanism import Mechanism
 from cannoise_jax.physics.transfer.estimator import Estimator
 from cannoise_jax.recordings.recording import Kind
 from cannoise_jax.signatures.generic import MapsOf
 from cannoise_jax.signatures.recorded import Recorded
+from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import Signature
 from cannoise_jax.vocabulary import Term
 
@@ -92,8 +94,14 @@ class Entry:
             raise ValueError(f"{self.term.id}: its record is that of {self.record.id}: give both one name")
 
     def looks(self, recorded: Recorded) -> tuple[Signature, ...]:
-        """Its signatures, under its name."""
-        return tuple(dataclasses.replace(s, mechanism=self.id) for s in self.signatures(recorded))
+        """Its signatures, under its name. Raises BadInput where one from outside gives none, or its functions
+        fail."""
+        if not self.record.home:
+            return tuple(dataclasses.replace(s, mechanism=self.id) for s in self.signatures(recorded))
+        found = called(self.id, "`signatures`", self.signatures, recorded)
+        if not isinstance(found, tuple | list) or not all(isinstance(s, Signature) for s in found):
+            raise of_another_type(self.id, "`signatures`", found, "a tuple of Signature")
+        return tuple(dataclasses.replace(s, mechanism=self.id, **_in_one_line(self.id, s)) for s in found)
 
     @property
     def looked_for(self) -> bool:
@@ -104,3 +112,30 @@ class Entry:
     def id(self) -> str:
         """Its name."""
         return self.term.id
+
+
+_SCORES = ("score", "again", "strength")
+"""Functions of a signature that return a score."""
+
+
+def _in_one_line(id: str, signature: Signature) -> dict[str, Callable[..., Any]]:
+    """The functions of a signature that are the user's, whose errors are then one line. Those of the kit are
+    left: some are told apart by what they are."""
+
+    def guarded(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        what = f"`{name}` of {signature.name}"
+
+        def call(*given: Any, **named: Any) -> Any:
+            found = called(id, what, function, *given, **named)
+            if name in _SCORES and not isinstance(found, Score | None):
+                raise of_another_type(id, what, found, "a Score, or None")
+            return found
+
+        return call
+
+    functions = {f.name: getattr(signature, f.name) for f in dataclasses.fields(signature)}
+    return {
+        name: guarded(name, function)
+        for name, function in functions.items()
+        if callable(function) and not str(getattr(function, "__module__", "")).startswith("cannoise_jax.")
+    }

@@ -10,7 +10,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from cannoise_jax.mechanisms.checked import check_entry
 from cannoise_jax.mechanisms.entry import Entry
+from cannoise_jax.physics.core.foreign import of_interrupt, of_memory
 from cannoise_jax.recordings.recording import BadInput
 
 
@@ -34,6 +36,8 @@ def imported(place: str) -> Any:
                 sys.path.insert(0, "")
             module = importlib.import_module(where)
     except Exception as error:  # whatever the user's code raises
+        if of_interrupt(error):
+            raise
         words = f"{type(error).__name__}: {error}"
         start = f": start where {where}.py is" if isinstance(error, ModuleNotFoundError) else ""
         raise BadInput(f"{place}: cannot be imported ({words}){start}") from error
@@ -54,6 +58,8 @@ def function_at(place: str) -> Callable[..., Any]:
         try:
             return found(*given)
         except Exception as error:  # whatever the user's code raises
+            if of_interrupt(error) or of_memory(error):
+                raise
             words = " ".join(f"{type(error).__name__}: {error}".split())
             raise BadInput(
                 f"{place}: fails ({words[:300]}): it is called with key, clean, settings"
@@ -65,12 +71,17 @@ def function_at(place: str) -> Callable[..., Any]:
 def entries_at(place: str) -> tuple[Entry, ...]:
     """The entries of "module:NAME": one entry, or several in a row.
 
-    Raises BadInput with one line for a place without entries.
+    Raises BadInput with one line for a place without entries, and for what `check_entry` refuses.
     """
     found = imported(place)
     entries = (found,) if isinstance(found, Entry) else found
     if not isinstance(entries, list | tuple) or not all(isinstance(e, Entry) for e in entries):
         raise BadInput(f"{place}: is no entry, nor a tuple of entries: see docs/adding_a_mechanism.md")
+    for entry in entries:
+        try:
+            check_entry(entry)
+        except (ValueError, TypeError) as error:
+            raise BadInput(f"{error}") from error
     return tuple(entries)
 
 

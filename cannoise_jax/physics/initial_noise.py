@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, Key
 
 from cannoise_jax.physics.core.poisson_gaussian import InitialNoise, nlf_sigma, sample_normal
 from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.physics.core.sensor_json import MissingEntry
 
 _LEAST_VARIANCE = 1e-9
 """Normalised units: a third of a code of a 16-bit converter, so that sigma can be divided by."""
@@ -64,7 +65,10 @@ def sensors_of(choice: str | InitialNoise) -> tuple[SensorModel, ...]:
     choices. Raises BadInput for a file or preset that is not one."""
     kind, _, name = choice.partition(":") if isinstance(choice, str) else ("", "", "")
     if name and kind == "sensor":
-        return tuple(SensorModel.load(file) for file in name.split(","))
+        try:
+            return tuple(SensorModel.load(file) for file in name.split(","))
+        except MissingEntry as error:
+            raise error.not_taken("training") from error
     return (SensorModel.preset(name),) if name and kind == "preset" else ()
 
 

@@ -7,7 +7,7 @@ the training darks of the exposure, and that of a sensor model is the median of 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from cannoise_jax.model_file import load_model
+from cannoise_jax.physics.core.mechanism import HasRecord
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.single_image import estimate_nlf
@@ -186,16 +187,18 @@ REFINED = {f"ours_on_{name}": name for name in FITTED}
 
 
 def open_source(
-    name: str, data: HalfReal, sensors: dict[str, SensorModel], models: dict[str, Model | None] | None = None
-) -> Source:
+    name: str, data: HalfReal, sensors: dict[str, SensorModel], models: dict[str, Model | None] | None = None,
+    mechanisms: Sequence[HasRecord] = (),
+) -> Source:  # fmt: skip
     """A source by its name in `NAMED`, `sensors` or `models` (generators that refine a sensor; None: nothing
     was gained by it, and the sensor is taken as it is), or of a sensor.json or trained model named by path.
+    mechanisms: entries from outside the package that a sensor.json may name.
 
     "A+real_darks" shows one image of real darks to five of A. Raises BadInput for what is none.
     """
     base, plus, more = name.partition("+")
     if plus:
-        synthetic, real = (open_source(n, data, sensors, models) for n in (base, more))
+        synthetic, real = (open_source(n, data, sensors, models, mechanisms) for n in (base, more))
         return mixed(synthetic, real)
     if models and name in models:
         model = models[name]
@@ -206,7 +209,7 @@ def open_source(
         return sensor(data, sensors[name])
     path = Path(name)
     if path.suffix == ".json" and path.is_file():
-        return sensor(data, SensorModel.load(path))
+        return sensor(data, SensorModel.load(path, mechanisms))
     if path.exists():
         return learned(data, path)
     known = ", ".join([*NAMED, *FITTED, *REFINED])

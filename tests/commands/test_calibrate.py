@@ -196,6 +196,7 @@ PULSE = Entry(
     estimator=Estimator(measure),
 )
 BARE = dataclasses.replace(PULSE, estimator=None)
+BROKEN = dataclasses.replace(PULSE, estimator=Estimator(lambda statistics, baseline: {}["no"]))
 TAKEN = dataclasses.replace(
     PULSE,
     term=dataclasses.replace(PULSE.term, id="row_noise"),
@@ -220,6 +221,16 @@ def test_a_mechanism_of_ones_own_is_measured_and_modelled(folder, tmp_path, caps
     (own,) = entries_at(f"{place}:PULSE")
     fitted = {f.mechanism: f for f in SensorModel.load(out, [own]).mechanisms}
     assert float(np.ravel(fitted["pulse"].parameters["sigma_dn"])[0]) == pytest.approx(40, rel=0.5)
+
+
+def test_an_estimator_that_fails_is_one_line(folder, tmp_path, capsys):
+    (tmp_path / "own.py").write_text(OWN)
+    out = tmp_path / "made" / "sensor.json"
+    place = f"{tmp_path / 'own.py'}:BROKEN"
+    assert main(["--recordings", str(folder), "--out", str(out), "--mechanisms", place]) == 2
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last == "bin/calibrate: pulse: its estimator fails (KeyError: 'no'): mend it"
+    assert not out.parent.exists()
 
 
 @pytest.mark.parametrize(("name", "said"), [("BARE", "has no estimator"), ("TAKEN", "choose another")])

@@ -97,9 +97,38 @@ def test_a_mechanism_of_ones_own_is_looked_for_by_its_sampler(tmp_path, monkeypa
     assert "droop" in [
         m.mechanism for m in SensorModel.load(tmp_path / "out" / "sensor.json", entries).mechanisms
     ]
+    model = tmp_path / "out" / "sensor.json"
+    second = ["--recordings", str(folder), "--out", str(tmp_path / "second"), "--simulator", str(model)]
+    assert main(second) == 2
+    assert "needs the mechanism droop" in capsys.readouterr().err
+    assert main([*second, "--mechanisms", "droop:DROOP"]) == 0
+    again = json.loads((tmp_path / "second" / "report.json").read_text())
+    assert "droop" not in [f["mechanism"] for f in again["findings"] if f["confirmed"]]
     sys.modules.pop("droop", None)
     assert main([*arguments[:-1], "droop", "--force"]) == 2
     assert "names nothing" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('values["sigma_dn"] *', 'values["none"] *', "`sample` fails (KeyError: 'none'): mend it"),
+        ('id="droop"', 'id="the droop"', "its record is that of the droop"),
+        ('home="droop:DROOP"', 'home=""', "droop: its record has no `home`"),
+    ],
+)
+def test_a_mechanism_that_cannot_work_is_one_line_and_nothing_is_written(
+    old, new, said, tmp_path, monkeypatch, capsys
+):
+    page = Path(__file__).resolve().parents[2] / "docs" / "adding_a_mechanism.md"
+    code = re.findall(r"^```python\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)[0]
+    assert old in code
+    (tmp_path / "wrong.py").write_text(code.replace(old, new))
+    folder = write(tmp_path / "in", capture_set(5, kinds="d", size=(48, 64)))
+    arguments = ["--recordings", str(folder), "--out", str(tmp_path / "out")]
+    assert main([*arguments, "--mechanisms", f"{tmp_path}/wrong.py:DROOP"]) == 2
+    errors = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("[")]
+    assert len(errors) == 1 and said in errors[0] and not (tmp_path / "out").exists()
 
 
 def test_a_function_of_ones_own_is_judged_by_its_name(tmp_path, monkeypatch, capsys):

@@ -11,15 +11,21 @@ import numpy as np
 import pytest
 
 from cannoise_jax import SensorModel, Settings
+from cannoise_jax.commands import compare as compare_command
 from cannoise_jax.commands import simulate
-from cannoise_jax.mechanisms import MECHANISMS
+from cannoise_jax.commands.denoise_sources import check_sources
+from cannoise_jax.discovery.compare import compare
+from cannoise_jax.discovery.frames.simulate import open_simulator
+from cannoise_jax.mechanisms import ENTRIES, MECHANISMS
 from cannoise_jax.mechanisms.outside import entries_at
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Parameter
 from cannoise_jax.physics.core.sensor_json import write_sensor
-from cannoise_jax.recordings.native import read_recording
+from cannoise_jax.physics.initial_noise import sensors_of
+from cannoise_jax.recordings.native import read_recording, write_recording
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.vocabulary import Term
+from tests.discovery.capture import capture_set
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "adding_a_mechanism.md"
 CODE = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), re.MULTILINE | re.DOTALL)
@@ -96,6 +102,50 @@ def test_simulate_draws_it(droop, tmp_path, capsys):
     (path,) = (tmp_path / "out").glob("*.h5")
     rows = np.asarray(read_recording(path).frames, float).mean(2)
     assert np.ptp(rows, axis=1).max() > 20
+
+
+def test_its_stored_model_is_a_simulator_where_its_entry_is_given(droop, tmp_path):
+    write_sensor("sensor.json", SensorModel.poisson_gaussian(2.0, 3.0, 64, 4095).with_mechanism(droop))
+    capture = capture_set(3, kinds="d", size=(48, 64))
+    with pytest.raises(BadInput, match="needs the mechanism droop"):
+        open_simulator("sensor.json", capture)
+    opened = open_simulator("sensor.json", capture, (*ENTRIES, droop))
+    assert [f.mechanism for f in opened.model.mechanisms] == ["droop"]
+    assert compare(capture, "sensor.json", mechanisms=[droop]).bank.label == "sensor.json"
+
+
+def test_compare_takes_its_stored_model_with_the_flag(droop, tmp_path, capsys):
+    write_sensor("sensor.json", SensorModel.poisson_gaussian(2.0, 3.0, 64, 4095).with_mechanism(droop))
+    (tmp_path / "in").mkdir()
+    for recording in capture_set(3, kinds="d", size=(48, 64)).recordings:
+        write_recording(tmp_path / "in" / recording.path, recording)
+    asked = ["--recordings", "in", "--simulator", "sensor.json"]
+    assert compare_command.main(asked) == 2
+    assert "as with --mechanisms droop:DROOP" in capsys.readouterr().err.splitlines()[-1]
+    assert compare_command.main([*asked, "--mechanisms", "droop:DROOP"]) == 0
+
+
+def test_what_takes_no_entries_does_not_ask_for_one(droop, tmp_path):
+    write_sensor("sensor.json", SensorModel.poisson_gaussian(2.0, 3.0, 64, 4095).with_mechanism(droop))
+    with pytest.raises(BadInput, match="droop from outside the package, and training takes") as error:
+        sensors_of("sensor:sensor.json")
+    assert "--mechanisms" not in str(error.value) and "\n" not in str(error.value)
+
+
+def test_denoise_reads_it_before_it_trains(droop, tmp_path):
+    write_sensor("sensor.json", SensorModel.poisson_gaussian(2.0, 3.0, 64, 4095).with_mechanism(droop))
+    with pytest.raises(BadInput, match="as with --mechanisms droop:DROOP"):
+        check_sources({"own": "sensor.json"})
+    check_sources({"own": "sensor.json"}, [droop])
+
+
+def test_a_model_that_does_not_say_whose_its_mechanism_is(droop, tmp_path):
+    write_sensor("sensor.json", SensorModel.poisson_gaussian(2.0, 3.0, 64, 4095).with_mechanism(droop))
+    document = json.loads(Path("sensor.json").read_text())
+    document["mechanisms"][0]["home"] = ""
+    Path("sensor.json").write_text(json.dumps(document))
+    with pytest.raises(BadInput, match="droop, and does not say whose .* --mechanisms MODULE:NAME"):
+        SensorModel.load("sensor.json")
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,6 +14,7 @@ from cannoise_jax.discovery.compare.score import Better, scores
 from cannoise_jax.discovery.compare.table import Difference, differences
 from cannoise_jax.discovery.compare.words import pair, short
 from cannoise_jax.discovery.frames.simulate import Draw
+from cannoise_jax.physics.core.mechanism import HasRecord
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import CaptureSet
 
@@ -39,16 +40,18 @@ def compare(
     key: Key[Array, ""] | None = None,
     *,
     alpha: float = 0.01,
+    mechanisms: Sequence[HasRecord] = (),
     tell: Callable[[str], None] = lambda text: None,
 ) -> Comparison:
     """What still differs between recordings and a simulator, in numbers and with the sign.
 
     simulated: a sensor model or its sensor.json, 'poisson-gaussian', a function (key, clean, settings) -> DN
       or its `module:function`, a training folder, or a capture set (or folder) of simulated frames.
-    alpha: chance that equal laws are said to differ.
+    alpha: chance that equal laws are said to differ. mechanisms: entries from outside the package that a
+      sensor.json may name.
     Raises as `compare_bank`.
     """
-    bank = compare_bank(recordings, simulated, key, alpha=alpha, tell=tell)
+    bank = compare_bank(recordings, simulated, key, alpha=alpha, mechanisms=mechanisms, tell=tell)
     return Comparison(bank, tuple(differences(bank)))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -30,6 +30,7 @@ from cannoise_jax.discovery.frames.contrasts import code_step
 from cannoise_jax.discovery.frames.draws import misses
 from cannoise_jax.discovery.frames.simulate import Draw
 from cannoise_jax.discovery.frames.threads import each
+from cannoise_jax.physics.core.mechanism import HasRecord
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.physics.core.settings import settings_of
 from cannoise_jax.recordings.packing import SITES
@@ -90,18 +91,20 @@ def compare_bank(
     alpha: float = 0.01,
     sets: int | None = None,
     held_back: Chosen | None = None,
+    mechanisms: Sequence[HasRecord] = (),
     tell: Callable[[str], None] = lambda text: None,
 ) -> Compared:
     """All statistics of the bank, of the recordings and of draws of a simulator at equal settings.
 
     held_back: of every recording the frames that are looked at, and those before them which lend their mean
-    alone (all frames where not given). Raises BadInput for a simulator that cannot be judged, ValueError
-    for an alpha out of (0, 1), TypeError for what is no capture set or no key.
+    alone (all frames where not given). mechanisms: entries from outside the package that a sensor.json may
+    name. Raises BadInput for a simulator that cannot be judged, ValueError for an alpha out of (0, 1),
+    TypeError for what is no capture set or no key.
     """
     if not 0 < alpha < 1:
         raise ValueError(f"alpha must lie between 0 and 1, got {alpha}")
     capture, key = checked_capture(capture), checked_key(key)
-    source = simulator if isinstance(simulator, Source) else open_source(simulator, capture, key)
+    source = simulator if isinstance(simulator, Source) else open_source(simulator, capture, key, mechanisms)
     chosen = held_back or [([], chosen_frames(r).tolist()) for r in capture.recordings]
     work = [
         (len(a) + len(b)) * r.size[0] * r.size[1] if b else 0

@@ -6,7 +6,7 @@ set where none were measured, so that a set is another unit of the camera."""
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,6 +21,7 @@ from cannoise_jax.discovery.frames.simulate import Draw, codes_of, open_simulato
 from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.discovery.search.model import baseline_model
 from cannoise_jax.mechanisms.outside import function_at
+from cannoise_jax.physics.core.mechanism import HasRecord
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.settings import black_at
 from cannoise_jax.recordings.load import load_capture_set
@@ -48,10 +49,14 @@ class Source(NamedTuple):
 
 
 def open_source(
-    simulator: str | Path | SensorModel | CaptureSet | Draw, capture: CaptureSet, key: Key[Array, ""]
+    simulator: str | Path | SensorModel | CaptureSet | Draw,
+    capture: CaptureSet,
+    key: Key[Array, ""],
+    mechanisms: Sequence[HasRecord] = (),
 ) -> Source:
     """The source of a model, a function or `module:function`, a sensor.json, a training folder, a capture set
     of simulated frames or a folder of them, or 'poisson-gaussian', calibrated from the recordings.
+    mechanisms: entries from outside the package that a sensor.json may name.
 
     Raises BadInput for what is none.
     """
@@ -67,7 +72,7 @@ def open_source(
         simulator = draw
     elif isinstance(simulator, (str, Path)) and Path(simulator).is_dir() and _holds_frames(Path(simulator)):
         return _recorded(load_capture_set(simulator), capture)._replace(label=str(simulator))
-    opened = open_simulator(simulator, capture)
+    opened = open_simulator(simulator, capture, mechanisms)
     if opened.model is not None:
         return modelled(opened.model, key)._replace(label=opened.label)
     step = code_step(capture)

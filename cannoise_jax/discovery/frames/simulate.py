@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,6 +24,7 @@ from cannoise_jax.discovery.frames.dust import beside_dust
 from cannoise_jax.discovery.frames.smooth import smooth_mean
 from cannoise_jax.discovery.frames.splits import split_recordings
 from cannoise_jax.model_file import load_model
+from cannoise_jax.physics.core.mechanism import HasRecord
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.settings import baseline_at, black_at, settings_of
 from cannoise_jax.recordings.packing import pack, unpack
@@ -46,9 +47,11 @@ class Simulator(NamedTuple):
     model: SensorModel | None = None
 
 
-def open_simulator(simulator: str | Path | SensorModel | Draw, capture: CaptureSet) -> Simulator:
-    """The simulator of a model, a function, a sensor.json or a training folder. Raises BadInput for what is
-    none."""
+def open_simulator(
+    simulator: str | Path | SensorModel | Draw, capture: CaptureSet, mechanisms: Sequence[HasRecord] = ()
+) -> Simulator:
+    """The simulator of a model, a function, a sensor.json or a training folder. mechanisms: entries from
+    outside the package that a sensor.json may name. Raises BadInput for what is none."""
     if isinstance(simulator, SensorModel):
         label = "sensor model" if simulator.camera == SensorModel.camera else simulator.camera
         return Simulator(label, simulator.sample, True, simulator)
@@ -61,7 +64,7 @@ def open_simulator(simulator: str | Path | SensorModel | Draw, capture: CaptureS
         )
     path = Path(simulator)
     if path.suffix == ".json" and path.is_file():
-        model = SensorModel.load(path)
+        model = SensorModel.load(path, mechanisms)
         return Simulator(str(path), model.sample, True, model)
     if path.exists():
         trained = load_model(path)
@@ -73,11 +76,12 @@ def open_simulator(simulator: str | Path | SensorModel | Draw, capture: CaptureS
     )
 
 
-def check_file(simulator: str | Path) -> None:
-    """Reads the file or folder of a simulator. Raises BadInput for what is none."""
+def check_file(simulator: str | Path, mechanisms: Sequence[HasRecord] = ()) -> None:
+    """Reads the file or folder of a simulator. mechanisms: see `open_simulator`. Raises BadInput for what is
+    none."""
     path = Path(simulator)
     if path.suffix == ".json" and path.is_file():
-        SensorModel.load(path)
+        SensorModel.load(path, mechanisms)
     else:
         load_model(path)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from cannoise_jax.discovery.proof.lowered import lowered
 from cannoise_jax.discovery.proof.sides import Sides, handed_simulators, simulators
 from cannoise_jax.discovery.search.fit import Fitted, Step, stepwise, without_all
 from cannoise_jax.mechanisms import ENTRIES
+from cannoise_jax.mechanisms.checked import maps_of
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Mechanism
@@ -87,8 +88,10 @@ def opened(
     simulator: str | Path | SensorModel | Draw,
     key: Key[Array, ""],
     tell: Callable[[str], None],
+    mechanisms: Sequence[Entry] = (),
 ) -> Judged:
-    """The simulator as it is judged. Raises BadInput for one that cannot be, or not be calibrated."""
+    """The simulator as it is judged. mechanisms: see `open_simulator`. Raises BadInput for one that cannot
+    be, or not be calibrated."""
     told = any(r.count > 1 or (r.shot and r.read) for r in capture.recordings)
     if simulator == CALIBRATED and not told:
         raise BadInput(
@@ -101,7 +104,7 @@ def opened(
         )
     if simulator in (CALIBRATED, STATED):
         return Judged(capture, str(simulator), simulator == STATED)
-    handed = open_simulator(simulator, capture)
+    handed = open_simulator(simulator, capture, mechanisms)
     tell("draw: frames of the simulator at the settings of the recordings")
     drawn = simulate_like(capture, handed.draw, jax.random.fold_in(key, 1), handed.dark)
     return Judged(as_simulated(capture, drawn), handed.label, True, handed, drawn)
@@ -185,6 +188,6 @@ def _searchable(entry: Entry) -> Entry:
         name=f"sampled_{entry.id}",
         known={},
         simulated=entry.term.kind == "sensor",
-        maps_of=entry.pattern,
+        maps_of=maps_of(entry),
     )
     return dataclasses.replace(entry, signatures=looks)

@@ -8,8 +8,8 @@ from difflib import get_close_matches
 
 from cannoise_jax.discovery.search.locate import Located
 from cannoise_jax.mechanisms import LISTED
+from cannoise_jax.mechanisms.checked import check_entry
 from cannoise_jax.mechanisms.entry import Entry
-from cannoise_jax.physics.core.registry import check_record
 from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.signatures.signature import Signature
 from cannoise_jax.vocabulary import UNKNOWN
@@ -22,7 +22,8 @@ def registered(
     without: Sequence[str] = (), mechanisms: Sequence[str | Entry] | None = None
 ) -> tuple[Entry, ...]:
     """The entries that a run may name: those of the package, and of one's own where `mechanisms` holds any;
-    of these `mechanisms` alone where given. Raises ValueError for a name that is none of them."""
+    of these `mechanisms` alone where given. Raises ValueError for a name that is none of them, ValueError and
+    TypeError for what `check_entry` refuses."""
     if isinstance(without, str):
         raise TypeError(f"without is the text {without!r}: expected names in a list")
     odd = next((m for m in mechanisms or () if not isinstance(m, (str, Entry))), None)
@@ -33,7 +34,7 @@ def registered(
     for entry in own:
         if entry.id in known or entry.id == UNKNOWN.id:
             raise ValueError(f"{entry.id}: there is a mechanism of this name: choose another")
-        check_record(entry.record)
+        check_entry(entry)
         known[entry.id] = entry
     wanted = None if mechanisms is None else {m if isinstance(m, str) else m.id for m in mechanisms}
     for id in (*without, *(wanted or ())):

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import zlib
+from collections.abc import Mapping
 from functools import partial
 
 import jax
@@ -12,7 +13,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
 from cannoise_jax.physics.core import tukey_lambda
-from cannoise_jax.physics.core.mechanism import ACTS_ON, Context, Noise
+from cannoise_jax.physics.core.foreign import called, of_another_type
+from cannoise_jax.physics.core.mechanism import ACTS_ON, Context, Effect, Mechanism, Noise
 from cannoise_jax.physics.core.poisson_gaussian import centred_uniform, sample_normal, sample_poisson
 from cannoise_jax.recordings.recording import BadInput
 
@@ -45,8 +47,33 @@ def maps_of(model, index: int, values, context: Context) -> dict[str, Array]:
         return {
             name: jnp.asarray(m).reshape((1,) * (3 - m.ndim) + m.shape) for name, m in fitted.maps.items()
         }
-    draw = fitted.record.draw_maps
-    return draw(mechanism_key(model.unit_key, model, index), values, context) if draw else {}
+    if fitted.record.draw_maps is None:
+        return {}
+    maps = _answer(fitted.record, "draw_maps", mechanism_key(model.unit_key, model, index), values, context)
+    return _checked_maps(fitted.record, maps, context.size)
+
+
+def _answer(record: Mechanism, name: str, *given):
+    """What a function of a record returns; of a mechanism from outside its errors are one line."""
+    function = getattr(record, name)
+    return called(record.id, f"`{name}`", function, *given) if record.home else function(*given)
+
+
+def _checked_maps(record: Mechanism, maps, size: tuple[int, int]) -> dict[str, Array]:
+    """Maps that a mechanism drew. Raises BadInput where one from outside drew none, or another size."""
+    if not record.home:
+        return maps
+    if not isinstance(maps, Mapping):
+        raise of_another_type(record.id, "`draw_maps`", maps, "maps by name")
+    for name, values in maps.items():
+        shape = called(record.id, f"`draw_maps` ({name})", jnp.shape, values)
+        fits = all(have in (1, want) for have, want in zip(shape[-2:], size, strict=False))
+        if len(shape) > 3 or not fits:
+            raise BadInput(
+                f"{record.id}: its `draw_maps` gives {name} the shape {shape} for frames of {size}: it "
+                "must broadcast against [T, H, W]"
+            )
+    return dict(maps)
 
 
 def altered_noise(model, context: Context, values) -> Noise:
@@ -54,7 +81,10 @@ def altered_noise(model, context: Context, values) -> Noise:
     noise = Noise(context.gain_dn_per_e, context.read_noise_e, context.code_step)
     for i, fitted in enumerate(model.mechanisms):
         if fitted.record.baseline is not None:
-            noise = fitted.record.baseline(noise, values[i], maps_of(model, i, values[i], context), context)
+            maps = maps_of(model, i, values[i], context)
+            noise = _answer(fitted.record, "baseline", noise, values[i], maps, context)
+            if not isinstance(noise, Noise):
+                raise of_another_type(fitted.mechanism, "`baseline`", noise, "a Noise")
     return noise
 
 
@@ -104,7 +134,10 @@ def closed_form(model, context: Context, values) -> tuple[Array, Array]:
         own = jnp.maximum(variance - shared, 1e-12) if analogue else None
 
         def effect_at(mean, record=record, value=values[i], maps=maps, own=own):
-            return record.effect(value, maps, seen_at(inner, mean, own))
+            effect = _answer(record, "effect", value, maps, seen_at(inner, mean, own))
+            if not isinstance(effect, Effect):
+                raise of_another_type(record.id, "`effect`", effect, "an Effect")
+            return effect
 
         def after(mean, effect_at=effect_at):
             effect = effect_at(mean)
@@ -147,10 +180,11 @@ def _stage(model, key, x, acts_on: str, context: Context, values) -> Array:
         record = fitted.record
         if record.acts_on == acts_on and record.sample is not None:
             maps = maps_of(model, i, values[i], context)
-            drawn = record.sample(mechanism_key(key, model, i), x, values[i], maps, context)
-            if jnp.shape(drawn) != jnp.shape(x):
+            drawn = _answer(record, "sample", mechanism_key(key, model, i), x, values[i], maps, context)
+            if not hasattr(drawn, "shape") or drawn.shape != jnp.shape(x):
+                found = getattr(drawn, "shape", f"a value of type {type(drawn).__name__}")
                 raise BadInput(
-                    f"{record.id}: its sampler returns {jnp.shape(drawn)} for frames of {jnp.shape(x)}: "
+                    f"{record.id}: its sampler returns {found} for frames of {jnp.shape(x)}: "
                     "return every pixel of every frame"
                 )
             x = drawn

@@ -31,7 +31,12 @@ _KINDS: dict[Any, str] = {str: "text", list: "a list", dict: "entries by name"}
 
 
 class Foreign(ValueError):
-    """A mechanism that is not of the package, and whose entry was not given."""
+    """A mechanism that is not of the package, and whose entry was not given. id: its name."""
+
+    def __init__(self, id: str, home: str) -> None:
+        whose, where = (f" of {home}", home) if home else (", and does not say whose that is", "MODULE:NAME")
+        super().__init__(f"needs the mechanism {id}{whose}: give its entry, as with --mechanisms {where}")
+        self.id = id
 
 
 def model_of(
@@ -183,8 +188,7 @@ def _record(id: str, point: Point | None, known: Mapping[str, Mechanism], home: 
         check_point(id, point)
         return bare(point, id)
     if id not in known and home is not None:
-        where = _of_kind(home, f"{id}: home", str) or "another package"
-        raise Foreign(f"needs the mechanism {id} of {where}: give its entry, as with --mechanisms {where}")
+        raise Foreign(id, _of_kind(home, f"{id}: home", str))
     return known[id] if id in known else registry.mechanism(id)
 
 

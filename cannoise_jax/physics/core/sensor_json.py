@@ -38,6 +38,18 @@ _LONGEST_NAME = 255
 """Bytes of a file's name: more, and systems refuse to look for it."""
 
 
+class MissingEntry(BadInput):
+    """A stored model has a mechanism from outside the package, and its entry was not given."""
+
+    def __init__(self, path: Path, missing: Foreign) -> None:
+        super().__init__(f"{path}: {missing}")
+        self._said = f"{path}: has the mechanism {missing.id} from outside the package"
+
+    def not_taken(self, by: str) -> BadInput:
+        """The same, where nobody can give an entry. by: who takes none."""
+        return BadInput(f"{self._said}, and {by} takes those of the package alone: name a model of these")
+
+
 def write_sensor(path: str | Path, model: SensorModel) -> None:
     """Writes `path` and, where maps were measured, an `.npz` of the same stem, each atomically; that of the
     model before goes where there are none now.
@@ -217,7 +229,7 @@ def read_model(
     except BadInput:
         raise
     except Foreign as error:
-        raise BadInput(f"{path}: {error}") from error
+        raise MissingEntry(path, error) from error
     except (TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
         said = (str(error).splitlines() or [type(error).__name__])[0]
         raise BadInput(f"{path}: {said}: correct the entry, or write the file anew") from error
