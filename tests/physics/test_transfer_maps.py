@@ -163,3 +163,25 @@ def test_rows_of_alternate_columns_are_no_wave():
     found = {f.mechanism: f for f in find_mechanisms(transfer.statistics, transfer.baseline, lines)}
     assert found["row_noise"].point is not None and found["row_noise"].point.interleave == 2
     assert found["banding"].verdict != "in the model"
+
+
+@pytest.mark.parametrize("lines", [0.0, 0.003])
+def test_maps_have_the_means_of_rows_and_columns_that_were_recorded(lines):
+    """Of independent pixels too, beside columns that have gains of their own or not."""
+    camera = BASE.with_mechanism("prnu", sigma=0.01)
+    if lines:
+        camera = camera.with_mechanism("column_gain", sigma=lines)
+    camera = camera.with_maps(SIZE)
+    shots = [recorded(camera, "dark", seed=1), recorded(camera, "flat", 0.4, seed=2)]
+    model = calibrated(*shots, recorded(camera, "flat", 0.1, seed=3))
+
+    def response(of):
+        out = np.zeros(SIZE)
+        for fitted in of.mechanisms:
+            out = out + float(np.mean(fitted.parameters["sigma"])) * drawn(of, fitted.mechanism)
+        return out - out.mean()
+
+    true, told = response(camera), response(model)
+    for axis in (0, 1):
+        assert told.mean(axis).std() == pytest.approx(true.mean(axis).std(), rel=0.15)
+        assert np.corrcoef(told.mean(axis), true.mean(axis))[0, 1] > 0.7
