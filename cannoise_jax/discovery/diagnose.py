@@ -99,13 +99,13 @@ def diagnose(
     a sensor model or its sensor.json, a training folder, or any function (key, clean, settings) -> DN.
     alpha: false-alarm rate of the whole run. without, mechanisms: names that may not, or may alone, be given;
     `mechanisms` may hold entries of one's own, which are looked for too, and which a sensor.json may name.
-    compare: also run the two-sample
-    test. tell: called with one line per stage. Frames without noise, moving scenes beside flats and flats
-    whose light moves are left out with a `LeftOutWarning`; faults are said with a `FaultWarning`.
+    compare: also run the two-sample test. tell: called with one line per stage. Frames without noise, moving
+    scenes beside flats and flats whose light moves are left out with a `LeftOutWarning`; faults are said with
+    a `FaultWarning`.
     Raises BadInput for a simulator that cannot be judged, functions of one's own that fail, frames of several
-    sizes, where too few are left,
-    for flats and darks of two gains, and for scenes that move where no flats are, ValueError for unknown
-    names or an alpha out of (0, 1), TypeError for what is no capture set or no key.
+    sizes, where too few are left, for flats and darks of two gains, and for scenes that move where no flats
+    are, ValueError for unknown names or an alpha out of (0, 1), TypeError for what is no capture set or no
+    key.
     """
     if isinstance(alpha, bool) or not isinstance(alpha, int | float | np.number):
         raise TypeError(f"alpha is {alpha!r}: give a number between 0 and 1")
