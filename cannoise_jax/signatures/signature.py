@@ -56,7 +56,7 @@ class Axes:
         return lines and (self.time, self.scales, self.law) == ("redrawn", "additive", "white")
 
 
-CONTRASTS = frozenset({"contrasts", "usable", "sigma"})
+CONTRASTS = frozenset({"contrasts", "usable", "sigma", "louder"})
 """What a statistic of differences between frames reads of a field."""
 STATIC = frozenset({"static", "answers", "usable", "sigma"})
 """What a statistic of what stays reads of a field."""

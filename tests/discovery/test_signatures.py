@@ -52,6 +52,7 @@ def test_it_reads_no_more_than_it_says(signature):
         "contrasts": lambda x: x[:, ::-1] * 1.5,
         "static": lambda x: x[::-1] * 1.5,
         "usable": lambda x: x & (rng.random(x.shape) < 0.8),
+        "louder": lambda x: np.full((1, 1), 1.3, np.float32),
         "answers": lambda x: x._replace(mixed={"pixel": np.zeros((3, 3, 1, 1), np.float32)}),
     }
     changed = tuple(
