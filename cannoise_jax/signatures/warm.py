@@ -168,14 +168,17 @@ def _template(f: Fields, c: np.ndarray, level: np.ndarray, shot: np.ndarray, usa
     return template, _own(c, usable, unit), weight
 
 
-_LEVERAGE = 0.999
-"""Most that one pixel tells of a change of temperature, so that something is left of the others."""
+_OTHERS = 1e-3
+"""Least share of the information that the others have beside one pixel: with none they tell of no change."""
 
 
 def _by_map(fields: tuple[Fields, ...], heat: Heat):
-    """Per contrast of every dark: factor of the map, its information, and which recording. The information is
-    by residuals over one less their leverage (HC3, MacKinnon and White, J. Econometrics 29, 1985)."""
-    values, information, number = [], [], []
+    """Per contrast of every dark: factor of the map, and its information: without a change, by the scatter of
+    single pixels; and beside one, by residuals about what all other pixels tell (HC3, MacKinnon and White,
+    J. Econometrics 29, 1985), as a large change is part of the former."""
+    values: list[float] = []
+    information: list[float] = []
+    beside: list[float] = []
     for f in fields:
         if f.kind not in DARK or f.frames < 2 or not len(f.contrasts):
             continue
@@ -199,15 +202,15 @@ def _by_map(fields: tuple[Fields, ...], heat: Heat):
         if i <= 0:
             continue
         factor = np.einsum("nij,ij->n", rest, weight * template) / i
-        # The scatter of single pixels, whatever the shot noise of the hot ones, about what all others tell:
-        # about none it would hold the change itself, and of the largest weigh least.
-        share = np.minimum(weight * template**2 / i, _LEVERAGE)
-        beside = (rest - factor[:, None, None] * template) / (1 - share)
-        scatter = np.einsum("nij,ij->n", beside**2, (weight * template) ** 2)
+        # The scatter of single pixels, whatever the shot noise of the hot ones.
+        told = rest * (weight * template)
+        square, own = (weight * template) ** 2, weight * template**2
+        factor = told.sum((1, 2)) / i
+        others = (factor[:, None, None] * i - told) / np.maximum(i - own, _OTHERS * i)
         values += list(factor)
-        information += list(i**2 / np.maximum(scatter, 1e-30))
-        number += [f.number] * len(factor)
-    return np.array(values), np.array(information), np.array(number, int)
+        for scatter, kept in ((rest**2, information), ((rest - others * template) ** 2, beside)):
+            kept += list(i**2 / np.maximum(np.einsum("nij,ij->n", scatter, square), 1e-30))
+    return np.array(values), np.array(information), np.array(beside)
 
 
 def _offsets(fields: tuple[Fields, ...]):
@@ -256,14 +259,14 @@ def warm_score(fields: tuple[Fields, ...]) -> Score[Heat | None] | None:
     heat = dark_map(fields)
     log_p, gain, relative, error = 0.0, 0.0, 0.0, np.inf
     if heat is not None:
-        value, information, _ = _by_map(fields, heat)
+        value, information, beside = _by_map(fields, heat)
         if value.size >= 2:
             chi2 = float(np.sum(value**2 * information))
             log_p = chi2_log_sf(chi2, value.size)
             gain = 0.5 * max(chi2 - value.size, 0.0)
-            spread = float(np.sum(information * value**2) - value.size) / float(np.sum(information))
+            spread = float(np.sum(beside * value**2) - value.size) / float(np.sum(beside))
             relative = float(np.sqrt(max(spread, 0.0)))
-            error = float(1 / np.sqrt(np.sum(information) * np.sqrt(2 / value.size)) / np.sqrt(2))
+            error = float(1 / np.sqrt(np.sum(beside) * np.sqrt(2 / value.size)) / np.sqrt(2))
     offsets, doubt, seconds = _offsets(fields)
     by_offset = 0.0
     if offsets.size >= 4 and np.unique(seconds).size >= 2 and seconds.max() > 3 * seconds.min():

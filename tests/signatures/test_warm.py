@@ -63,13 +63,16 @@ def test_nothing_else_is_found_of_a_sensor_that_warms_up():
     assert {"temperature_drift", "dark_current"} <= set(found.findings)
 
 
-def test_one_pixel_that_jumps_is_no_warmth():
-    """What a single pixel tells has no others to be held against."""
+@pytest.mark.parametrize("pixels", [1, 2])
+def test_few_pixels_that_jump_are_no_warmth(pixels):
+    """What a single one tells has no others to be held against, and two that agree may do so by chance."""
     capture = captured(34)
     jumps = np.random.default_rng(5).uniform(0, 4000, (len(capture.recordings), FRAMES))
     for r, added in zip(capture.recordings, jumps, strict=True):
         if r.kind == "dark":
-            r.frames[:, 40, 50] += (added * (r.exposure_s > 1)).astype(np.uint16)
+            r.frames[:, 40, 50 : 50 + 20 * pixels : 20] += (added * (r.exposure_s > 1)).astype(np.uint16)[
+                :, None
+            ]
     fields = splits_of(capture).looking.fields
     score = warm.warm_score(fields)
     assert score is None or not rejects(score)
