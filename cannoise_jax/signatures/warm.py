@@ -201,7 +201,6 @@ def _by_map(fields: tuple[Fields, ...], heat: Heat):
         i = float(np.sum(weight * template**2))
         if i <= 0:
             continue
-        factor = np.einsum("nij,ij->n", rest, weight * template) / i
         # The scatter of single pixels, whatever the shot noise of the hot ones.
         told = rest * (weight * template)
         square, own = (weight * template) ** 2, weight * template**2
