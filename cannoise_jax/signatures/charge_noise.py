@@ -74,8 +74,7 @@ def steadied(
             return f
         variance = f.gain[channel_index(rate.shape)] * charge * f.exposure_s
         growth = _growth(f, _rest(f, variance) + variance)
-        louder = growth if f.louder is None else f.louder * growth
-        return f._replace(contrasts=f.contrasts / growth, louder=louder)
+        return f._replace(contrasts=f.contrasts / growth, louder=f.louder * growth)
 
     return tuple(own(f) for f in fields)
 

@@ -71,7 +71,7 @@ class Fields(NamedTuple):
     before: int = 0
     answers: Answers = Answers()
     unit: float = 1.0
-    louder: Float[np.ndarray, "h w"] | None = None
+    louder: Float[np.ndarray, "h w"] | float = 1.0
 
     @property
     def lit(self) -> bool:

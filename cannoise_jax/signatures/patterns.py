@@ -64,7 +64,7 @@ def frame_score(fields: tuple[Fields, ...], *, scaling: str) -> Score[float] | N
     for f in fields:
         if not len(f.contrasts) or (scaling == "signal" and not f.lit):
             continue
-        r = _in_contrasts(f, scaling)
+        r = response(f, scaling) / f.louder
         i = float(np.sum(r.astype(np.float64) ** 2))
         if i > 0:
             u = np.einsum("nij,ij->n", f.contrasts, r.astype(np.float32)).astype(np.float64)
@@ -88,12 +88,6 @@ def frame_score(fields: tuple[Fields, ...], *, scaling: str) -> Score[float] | N
     return component_score(powers, informations, dofs, scaling=scaling, where={"axis": "frame"})
 
 
-def _in_contrasts(f: Fields, scaling: str) -> Float[np.ndarray, "h w"]:
-    """What a change of the whole frame is in the contrasts of each pixel."""
-    r = response(f, scaling)
-    return r if f.louder is None else r / f.louder
-
-
 def _unlike(power: np.ndarray, information: np.ndarray, dof: np.ndarray, lit: np.ndarray) -> bool:
     """Whether lit frames scatter by more than the offsets of darks explain, as light does that moves."""
     if lit.all() or not lit.any():
@@ -111,7 +105,7 @@ def frame_absorb(fields: tuple[Fields, ...], score: Score[float], *, scaling: st
         if scaling == "signal" and not f.lit:
             out.append(f)
             continue
-        r = _in_contrasts(f, scaling).astype(np.float32)
+        r = (response(f, scaling) / f.louder).astype(np.float32)
         i = float(np.sum(r.astype(np.float64) ** 2))
         shrink = (1 - 1 / np.sqrt(1 + score.payload * i)) / max(i, 1e-30)
         u = np.einsum("nij,ij->n", f.contrasts, r) * np.float32(shrink)

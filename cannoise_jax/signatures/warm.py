@@ -89,7 +89,7 @@ def _redrawn(
 
 def _noise(f: Fields) -> Float[np.ndarray, "h w"]:
     """What the contrasts are in units of, DN."""
-    return f.sigma if f.louder is None else f.sigma * f.louder
+    return f.sigma * f.louder
 
 
 def _less(
