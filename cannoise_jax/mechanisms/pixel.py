@@ -96,7 +96,7 @@ def _rts(key, x, values, maps, context: Context):
 
 
 def _rts_effect(values, maps, context):
-    power = (values["jump_dn"] ** 2 / 4 * maps["sites"])[0]
+    power = (values["jump_dn"] * maps["sites"][0]) ** 2 / 4
     memory = 1 - 2 * values["rate"]
     return Effect(variance=power, fourth=-2 * power**2, temporal={n: power * memory**n for n in (1, 2)})
 

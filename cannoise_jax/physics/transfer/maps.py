@@ -89,6 +89,24 @@ def _jumps(fitted: Fitted) -> bool:
     return fitted.record.point.time == "telegraph"
 
 
+class _Jumps(NamedTuple):
+    """What telegraph pixels, which stand before in the chain, have in the frames of a dark."""
+
+    of_mean: Float[np.ndarray, "H W"]
+    """Variance of the mean of the frames by jumps, DN^2; 0 at other pixels."""
+    of_frames: Float[np.ndarray, "H W"]
+    """Variance about that mean, DN^2."""
+
+
+def _jumps_in(dark: FrameStatistics, seen: Seen) -> _Jumps:
+    telegraph = seen.earlier(_jumps)
+    if telegraph is None:
+        return _Jumps(np.zeros(dark.mean.shape), np.zeros(dark.mean.shape))
+    variance = (telegraph.parameters["jump_dn"] * np.asarray(telegraph.maps["sites"])[0]) ** 2 / 4
+    lasting = telegraph_pixels.lasting(dark.recording.count, telegraph.parameters["rate"])
+    return _Jumps(variance * lasting, variance * (1 - lasting))
+
+
 def with_measured_maps(
     model: SensorModel,
     statistics: Statistics,
@@ -222,10 +240,12 @@ def offsets(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
         return {}
     found = offset_pattern(dark, charge.grown(seen.statistics, seen.baseline, dark))
     rest = seen.draw(found.pixels.shape)
-    field = _of_pixels(found, values["sigma_dn"], found.noise, 1.0, rest)
+    jumps = _jumps_in(dark, seen)
+    noise = found.noise + jumps.of_mean
+    field = _of_pixels(found, values["sigma_dn"], noise, 1.0, rest)
     # Of a pixel far out nothing is noise, and of a hot one everything is its heat.
     out = (dark.mean - np.median(dark.mean)) / values["sigma_dn"]
-    far = np.abs(out) * values["sigma_dn"] > 6 * np.sqrt(found.noise)
+    far = np.abs(out) * values["sigma_dn"] > 6 * np.sqrt(noise)
     field = np.where(found.keep, field, np.where(far, out, rest))
     hot = seen.earlier(_is_heat)
     if hot is not None:
@@ -313,9 +333,7 @@ def read_noise(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
         return {}
     # Log-normal read noise of unit mean square: the variances have logs of rms 2 w, w^2 = ln(1 + spread^2).
     width, half = 2 * float(np.sqrt(np.log1p(values["spread"] ** 2))), dark.dof / 2
-    telegraph, ratio, jumps = seen.earlier(_jumps), np.empty(dark.mean.shape), np.zeros(dark.mean.shape)
-    if telegraph is not None:
-        jumps = np.asarray(telegraph.maps["sites"])[0] * telegraph.parameters["jump_dn"] ** 2 / 4
+    ratio, jumps = np.empty(dark.mean.shape), _jumps_in(dark, seen).of_frames
     for c in range(4):
         square, _ = robust_mean_square(pixel_variance(dark, c), dark.dof)
         rounding = dark.code_step**2 / 12
@@ -364,8 +382,8 @@ def glow(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
 
 
 def telegraph(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
-    """1 at telegraph pixels."""
+    """Height of the jumps of telegraph pixels over what is typical; 0 elsewhere."""
     dark = darkest(seen.statistics)
     if dark is None:
         return {}
-    return {"sites": telegraph_pixels.telegraph_sites(dark, **values, gain=seen.baseline.gain)[None]}
+    return {"sites": telegraph_pixels.heights(dark, **values, gain=seen.baseline.gain)[None]}

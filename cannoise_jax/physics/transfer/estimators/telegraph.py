@@ -33,6 +33,10 @@ _MOST_VALUES = 600_000
 """Pixels times frames whose likelihood is maximized, in each of some hundred steps."""
 _NOISIER = np.geomspace(1.4, 20.0, 12)
 """Noise of pixels that are only noisier, in units of the quiet ones': any of these, with equal chances."""
+_HEIGHTS = np.geomspace(0.4, 2.5, 9)
+"""Jumps of single pixels over the typical one: any of these, with equal chances."""
+_CHANCES = 4000
+"""Pixels drawn to tell how much the variances of such jumps differ by chance: to two percent."""
 _LEAST_NATS = 12.0
 """Log likelihood that jumps have to gain over pixels that are only noisier: see `dark_pixels`."""
 
@@ -104,15 +108,54 @@ def telegraph_sites(
     rate: float,
     gain: Float[np.ndarray, "4"] | None = None,
 ) -> Float[np.ndarray, "H W"]:
-    """1 at the pixels that are more likely telegraph signals of this kind than quiet, else 0. gain: DN/e-, by
-    which warm pixels are told from them."""
+    """1 at the pixels that are more likely telegraph signals than quiet, else 0; each of a jump of its own, any
+    of `_HEIGHTS`. gain: DN/e-, by which warm pixels are told from them."""
     series, sigma = standardised(dark)
-    odds = telegraph_odds(series, jump_dn / sigma, rate)
+    odds, loud = np.full(series.shape[1], -np.inf), series.std(0) > _MAY_BE_LOUD
+    each = [telegraph_odds(series[:, loud], h * jump_dn / sigma, rate) for h in _HEIGHTS]
+    odds[loud] = special.logsumexp(each, axis=0) - np.log(len(_HEIGHTS))
     # Pixels that are only noisier may be as many as those that jump.
     odds = np.minimum(odds + np.log(fraction) - np.log1p(-fraction), odds - noisier_odds(series))
     odds[pixels_in_order(odd_by_charge(dark, gain))] = -np.inf
     sites = np.zeros(dark.mean.shape)
     for c, part in enumerate(np.split(odds > 0, 4)):
+        site(sites, c)[...] = part.reshape(site(sites, c).shape)
+    return sites
+
+
+def lasting(frames: int, rate: float) -> float:
+    """Share of the variance of jumps that the mean of so many successive frames keeps."""
+    apart = np.abs(np.subtract.outer(np.arange(frames), np.arange(frames)))
+    return float(np.mean((1 - 2 * rate) ** apart))
+
+
+def heights(
+    dark: FrameStatistics,
+    jump_dn: float,
+    fraction: float,
+    rate: float,
+    gain: Float[np.ndarray, "4"] | None = None,
+) -> Float[np.ndarray, "H W"]:
+    """At telegraph pixels how high their jumps are over `jump_dn`, else 0: the root of their variance over
+    what such jumps have. What their variances differ by beyond chance is theirs, as in James and Stein; for
+    traps that are mostly empty, or mostly full, the jump of equal times at both levels."""
+    sites = telegraph_sites(dark, jump_dn, fraction, rate, gain)
+    series, sigma = standardised(dark)
+    at = pixels_in_order(sites > 0)
+    if not at.any():
+        return sites
+    count, half = len(series), jump_dn / sigma / 2
+    expected = half**2 * (1 - lasting(count, rate)) * count / (count - 1)
+    own = (series[:, at].var(0, ddof=1) - 1) / expected
+    rng = np.random.default_rng(0)
+    turns = np.where(rng.random((count, _CHANCES)) < rate, -1.0, 1.0)
+    chance = half * np.cumprod(turns, 0) + rng.standard_normal(turns.shape)
+    chance = (chance.var(0, ddof=1).var()) / expected**2
+    share = max(1 - chance / max(float(own.var()), 1e-30), 0.0)
+    power = np.maximum(own.mean() + share * (own - own.mean()), 0.0)
+    ordered = np.zeros(at.shape)
+    ordered[at] = np.sqrt(power)
+    for c, part in enumerate(np.split(ordered, 4)):
         site(sites, c)[...] = part.reshape(site(sites, c).shape)
     return sites
 
