@@ -226,6 +226,7 @@ def _photon_transfers(capture: CaptureSet) -> tuple[tuple[PhotonTransfer, ...], 
             wrong.unlit,
             wrong.defects,
             wrong.shadows,
+            wrong.spots,
             wrong.longer,
             wrong.uneven,
         ):

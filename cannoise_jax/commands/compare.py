@@ -114,11 +114,13 @@ def _compared(arguments: argparse.Namespace, simulators: list[str], tell) -> tup
     import jax
 
     from cannoise_jax.discovery.compare import better, compare
-    from cannoise_jax.discovery.frames.faults import fault_lines, faults_of, without_moving
+    from cannoise_jax.discovery.frames.faults import fault_lines, faults_of, without_moving, without_spots
 
     capture, moved = without_moving(capture)
-    for line in (*left_out, *moved, *fault_lines(faults_of(capture))):
+    faults = faults_of(capture)
+    for line in (*left_out, *moved, *fault_lines(faults)):
         print(f"bin/compare: {line}", file=sys.stderr, flush=True)
+    capture = without_spots(capture, faults)
 
     key = jax.random.key(arguments.key)
     found = [compare(capture, s, key, alpha=arguments.alpha, mechanisms=own, tell=tell) for s in simulators]

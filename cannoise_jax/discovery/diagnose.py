@@ -25,6 +25,7 @@ from cannoise_jax.discovery.frames.faults import (
     faults_of,
     without_moving,
     without_moving_flats,
+    without_spots,
 )
 from cannoise_jax.discovery.frames.simulate import Draw
 from cannoise_jax.discovery.frames.smooth import shades
@@ -131,6 +132,7 @@ def diagnose(
     capture, unsteady = without_moving_flats(capture, faults)
     for line in unsteady:
         warnings.warn(line, LeftOutWarning, stacklevel=2)
+    capture = without_spots(capture, faults)
     tell("calibrate: black level, gain and read noise")
     judged = opened(capture, simulator, key, tell, [m for m in mechanisms or () if isinstance(m, Entry)])
     raw = splits_of(judged.capture, judged.stated, judged.drawn, searched(entries))

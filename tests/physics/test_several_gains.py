@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax.physics.transfer.frames import frame_statistics
-from cannoise_jax.physics.transfer.several_gains import several_gains
+from cannoise_jax.physics.transfer.several_gains import OF_TWO_OFFSETS, several_gains, uneven_gain
 from cannoise_jax.recordings.recording import Recording
 
 
@@ -77,3 +77,27 @@ def test_two_settings_in_one_file_are_to_be_split():
     both = setting(1, 0.4, 900, 1.0) + setting(2, 1.6, 900, 1.0, 260.0)
     said = several_gains(both)
     assert "split the file" in said and "folder" not in said
+
+
+def flats_of(offset, loss=0.0):
+    """Flats of four levels at another black level than their dark, 4 DN of noise."""
+    both = [setting(k, 0.5, e, t, 200.0 + offset, 8, loss=loss) for k, (e, t) in enumerate(LEVELS)]
+    (_, dark) = setting(9, 0.5, 100, 1.0, 200.0, 8)
+    return [flat for flat, _ in both] + [dark]
+
+
+LEVELS = ((600, 1.0), (1500, 2.0), (3000, 4.0), (5000, 8.0))
+
+
+@pytest.mark.parametrize("offset", [150.0, -100.0])
+def test_flats_of_another_offset_than_the_darks_are_told(offset):
+    said = uneven_gain(flats_of(offset), 0)
+    assert said.endswith(OF_TWO_OFFSETS)
+    gain, away, side = re.search(r"of ([\d.]+) DN/e- which .* (\d+) DN (above|below) their", said).groups()
+    assert float(gain) == pytest.approx(0.5, rel=0.04)
+    assert float(away) == pytest.approx(abs(offset), rel=0.15) and (side == "above") == (offset > 0)
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.2])
+def test_flats_of_the_offset_of_the_darks_are_not(loss):
+    assert not uneven_gain(flats_of(0.0, loss), 0).endswith(OF_TWO_OFFSETS)

@@ -42,7 +42,7 @@ def fault_lines(found: Mapping[float | None, Faults]) -> list[str]:
     for iso, wrong in found.items():
         moves = f"the gain{at_iso(iso)} was not measured: {wrong.moves}" if wrong.moves else ""
         doubted = f"the gain{at_iso(iso)}: {wrong.doubted}" if wrong.doubted else ""
-        measured = *wrong.stated, wrong.unlit, wrong.longer, wrong.uneven
+        measured = *wrong.stated, wrong.unlit, wrong.longer, wrong.uneven, wrong.spots
         out += [line for line in (wrong.cut_off, moves, doubted, *measured) if line]
     return out
 
@@ -83,6 +83,15 @@ def without_moving_flats(
     if not kept:
         return capture, ()
     return dataclasses.replace(capture, recordings=tuple(kept)), tuple(lines)
+
+
+def without_spots(capture: CaptureSet, found: Mapping[float | None, Faults]) -> CaptureSet:
+    """The recordings with flats without the spots of light that move over them."""
+    kept = tuple(
+        frame_statistics(r).recording if found[r.iso].spots and r.kind == "flat" else r
+        for r in capture.recordings
+    )
+    return dataclasses.replace(capture, recordings=kept)
 
 
 def at_one_temperature(capture: CaptureSet) -> tuple[CaptureSet, tuple[str, ...]]:

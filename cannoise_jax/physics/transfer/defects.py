@@ -1,5 +1,5 @@
 """Pixels that show nothing, told by number and kind: stuck at an end of the codes, or without light; and
-shadows of dust."""
+shadows of dust; spots of light that move."""
 
 from __future__ import annotations
 
@@ -70,6 +70,20 @@ def shadows_line(statistics: Sequence[FrameStatistics]) -> str:
     return (
         f"{flat.recording.path or flat.recording.camera}: shadows as of dust: {said}{more}: their pixels "
         "take no part in the sensitivities: clean what lies over the sensor, and record flats anew"
+    )
+
+
+def spots_line(statistics: Sequence[FrameStatistics]) -> str:
+    """Over which flats spots of light move, and over how much of them; empty where none do."""
+    some = [s for s in statistics if s.spots is not None]
+    if not some:
+        return ""
+    first = some[0].recording.path or some[0].recording.camera
+    others = f" and {len(some) - 1} more" if len(some) > 1 else ""
+    share = max(float(s.spots.mean()) for s in some if s.spots is not None)
+    return (
+        f"{first}{others}: spots of light move over the flats, as stars do over those of twilight: they are "
+        f"taken out, and {100 * share:.2g} % of the pixels take no part in what single pixels tell"
     )
 
 

@@ -14,7 +14,7 @@ difference); all others use the sample variance over frames. Memory does not gro
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from jaxtyping import Bool, Float
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.ends import Extremes, lowest_share, rails, stuck_pixels, without_stuck
 from cannoise_jax.physics.transfer.hits import Hits, without_hits
+from cannoise_jax.physics.transfer.spots import without_spots
 from cannoise_jax.recordings.codes import code_histograms, code_lattice
 from cannoise_jax.recordings.metadata import chunks
 from cannoise_jax.recordings.packing import site
@@ -49,6 +50,7 @@ class FrameStatistics:
     stuck: pixels at an end of the codes in every frame, far from the level of the others (`ends`), among
       `clipped`; no means but `mean` hold them. None where there are none.
     hits: particle hits of repeated darks, which `recording` is without; None for what is none.
+    spots: pixels of a flat over which stars or the like move (`spots`), among `clipped`; None for none.
     unlit: parts of a flat that no light reaches (see `unlit`), among `clipped`; dead: parts of a dark that
       never change, likewise; None where there are none.
     dark_shot: variance by channel that the dark charge of a flat, whose mean is taken out of its means
@@ -75,6 +77,7 @@ class FrameStatistics:
     lowest: PerChannel
     clipped: Bool[np.ndarray, "H W"]
     hits: Hits | None = None
+    spots: Bool[np.ndarray, "H W"] | None = None
     unlit: Bool[np.ndarray, "H W"] | None = None
     dead: Bool[np.ndarray, "H W"] | None = None
     dark_shot: PerChannel | None = None
@@ -182,11 +185,19 @@ def frame_statistics(recording: Recording) -> FrameStatistics:
     level = per_channel(frame_means.mean(0) - np.asarray(recording.black_level))
     if hits is not None:
         clipped |= hits.pixels
-    return FrameStatistics(
+    found = FrameStatistics(
         recording, mean, variance, total, dof, relative, frame_means, rows, columns,
         level, float(step), per_channel(np.array(low)), per_channel(np.array(high)),
         per_channel(np.array(lowest)), clipped, hits, stuck=stuck if stuck.any() else None,
     )  # fmt: skip
+    if not relative or variance is None:
+        return found
+    average = sum(steady_frames(found)) / recording.count
+    spots = without_spots(recording, steady_frames(found), average, variance)
+    if spots is None:
+        return found
+    again = frame_statistics(spots.recording)
+    return replace(again, clipped=again.clipped | spots.pixels, spots=spots.pixels)
 
 
 def _filled(variance: Float[np.ndarray, "H W"], stuck: Bool[np.ndarray, "H W"]) -> Float[np.ndarray, "H W"]:

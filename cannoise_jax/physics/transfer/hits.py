@@ -90,7 +90,7 @@ def without_hits(recording: Recording) -> tuple[Recording, Hits | None]:
             break
         places, charge = seen
         frames = LazyArray(
-            partial(_read, patched.frames, places), tuple(patched.frames.shape), np.dtype(np.uint16)
+            partial(read_with, patched.frames, places), tuple(patched.frames.shape), np.dtype(np.uint16)
         )
         patched = dataclasses.replace(patched, frames=frames)
         found.append(charge)
@@ -293,8 +293,8 @@ def _row_steps(own: np.ndarray, other: np.ndarray, area: np.ndarray) -> Float[np
     return out
 
 
-def _read(frames: Any, places: _Places, index: Any) -> np.ndarray:
-    """Part of the frames with the values in place."""
+def read_with(frames: Any, places: _Places, index: Any) -> np.ndarray:
+    """Part of the frames with other values in some places."""
     first, *more = index if isinstance(index, tuple) else (index,)
     numbers = np.arange(len(frames))[first]
     out = np.array(frames[first], np.uint16)

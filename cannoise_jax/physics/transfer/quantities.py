@@ -99,9 +99,11 @@ def noise_quantities(
             (1 / line.slope.ci90[1], 1 / max(line.slope.ci90[0], 1e-12)),
         )  # fmt: skip
         bent = bends(statistics, black.level, c, black.error[c])
-        odd = coarser_range(statistics, c) or bent or uneven_gain(statistics, c)
+        uneven = uneven_gain(statistics, c)
+        odd = coarser_range(statistics, c) or bent or uneven
         note = "; ".join(filter(None, (set_aside(line), odd)))
-        out.append(Quantity("system gain", "DN/e-", name, line.slope, note, _doubt(line, bent)))
+        severe = uneven or (bent if bent.endswith(NOT_LINEAR) else "")
+        out.append(Quantity("system gain", "DN/e-", name, line.slope, note, _doubt(line, severe)))
         out.append(Quantity("inverse gain", "e-/DN", name, inverse))
     note = "pixels; row noise taken out" + ("" if dark is None else _left_out(dark, c))
     note = "; ".join(filter(None, (note, noise_note)))
@@ -180,9 +182,9 @@ def set_aside(line: Line) -> str:
     return said
 
 
-def _doubt(line: Line, bent: str) -> str:
-    """Why a gain is not to be trusted; empty where nothing says so."""
-    reasons = (set_aside(line) if line.dropped > SET_ASIDE else "", bent if bent.endswith(NOT_LINEAR) else "")
+def _doubt(line: Line, of_flats: str) -> str:
+    """Why a gain is not to be trusted; empty where nothing says so. of_flats: what speaks against theirs."""
+    reasons = (set_aside(line) if line.dropped > SET_ASIDE else "", of_flats)
     said = "; ".join(filter(None, reasons))
     return f"the gain, and with it all that is in electrons: {said}" if said else ""
 

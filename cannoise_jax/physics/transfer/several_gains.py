@@ -27,6 +27,9 @@ _SYSTEMATIC = 0.02
 """Relative error of a gain besides that of its noise."""
 _UNEVEN = 0.05
 """Logarithm of the ratio of gains from which their difference is worth saying."""
+OF_TWO_OFFSETS = (
+    "flats and darks are of two offsets (black levels), record both with one, or the response bends"
+)
 _ENOUGH = 0.05
 """Share of the pixels of a flat that have to be below the rail."""
 
@@ -90,11 +93,36 @@ def uneven_gain(statistics: Sequence[FrameStatistics], c: int) -> str:
     room = _SIGMAS * float(np.hypot(low.error, high.error))
     if np.log(high.value / low.value) < max(room, _UNEVEN):
         return ""
-    return (
+    shown = (
         f"flats of {low.signal:.0f} DN show {low.value:.3g} DN/e-, of {high.signal:.0f} DN {high.value:.3g}: "
-        "not one straight line, so that the gain is neither (a response that bends, two gains in one frame, "
-        "light that changes)"
     )
+    if (away := _of_another_offset(seen)) is not None:
+        gain, offset = away
+        return (
+            f"{shown}the flats lie on one line of {gain:.3g} DN/e- which meets the noise of the darks "
+            f"{abs(offset):.0f} DN {'above' if offset > 0 else 'below'} their level: {OF_TWO_OFFSETS}"
+        )
+    return (
+        f"{shown}not one straight line through the darks, so that the gain is neither (a response that "
+        "bends, flats of another offset, two gains in one frame, light that changes)"
+    )
+
+
+def _of_another_offset(seen: Sequence[_Gain]) -> tuple[float, float] | None:
+    """Slope of the line on which three flats or more lie, DN/e-, and the signal at which it meets the noise
+    of the darks; None where they lie on none, or it passes through the darks."""
+    if len({round(g.signal) for g in seen}) < 3:
+        return None
+    signal = np.array([g.signal for g in seen])
+    shot = np.array([g.value for g in seen]) * signal
+    error = np.array([g.error for g in seen]) * shot
+    terms = np.stack([signal, np.ones(len(seen))], 1) / error[:, None]
+    (slope, start), *_ = np.linalg.lstsq(terms, shot / error)
+    if slope <= 0 or np.max(np.abs(terms @ (slope, start) - shot / error)) > 2:
+        return None
+    offset = -start / slope
+    sure = np.sqrt(np.linalg.inv(terms.T @ terms)[1, 1]) / slope
+    return (float(slope), float(offset)) if abs(offset) > _SIGMAS * sure else None
 
 
 def _steady(seen: Sequence[_Gain]) -> bool:

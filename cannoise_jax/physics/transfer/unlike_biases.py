@@ -72,8 +72,8 @@ def unlike_biases(statistics: Sequence[FrameStatistics], gain: float = 0.0) -> s
     if gain and abs(step[0]) > room and step[1] < shot / 2 and len(series) > 2:
         return (
             f"darks of {next_.seconds:g} s lie {abs(step[0]):.3g} DN {'above' if step[0] > 0 else 'below'} "
-            f"{which}, which their dark charge does not explain: another offset: black level and dark "
-            "current are wrong with it, record all with one"
+            f"{which}, which their dark charge does not explain: another offset, or another exposure than is "
+            "stated: black level and dark current are wrong with it"
         )
     return ""
 
@@ -84,10 +84,11 @@ def _change(one: _Darks, two: _Darks) -> Float[np.ndarray, "2"]:
 
 
 def _series(statistics: Sequence[FrameStatistics]) -> list[_Darks]:
-    """Repeated darks by exposure, a bias as one of none; those of noise that rounding hides tell nothing."""
+    """Repeated darks by exposure, a bias that states none as one of none; those of noise that rounding hides
+    tell nothing."""
     darks: dict[float, list[FrameStatistics]] = {}
     for s in statistics:
-        seconds = 0.0 if s.recording.kind == "bias" else s.recording.exposure_s
+        seconds = s.recording.exposure_s or (0.0 if s.recording.kind == "bias" else None)
         if s.recording.kind in DARK and s.variance is not None and seconds is not None and not coarse(s):
             darks.setdefault(seconds, []).append(s)
     return [_of(seconds, darks[seconds]) for seconds in sorted(darks)]

@@ -108,8 +108,8 @@ def telegraph_sites(
     rate: float,
     gain: Float[np.ndarray, "4"] | None = None,
 ) -> Float[np.ndarray, "H W"]:
-    """1 at the pixels that are more likely telegraph signals than quiet, else 0; each of a jump of its own, any
-    of `_HEIGHTS`. gain: DN/e-, by which warm pixels are told from them."""
+    """1 at the pixels that are more likely telegraph signals than quiet, else 0; each of its own jump, any of
+    `_HEIGHTS`. gain: DN/e-, by which warm pixels are told from them."""
     series, sigma = standardised(dark)
     odds, loud = np.full(series.shape[1], -np.inf), series.std(0) > _MAY_BE_LOUD
     each = [telegraph_odds(series[:, loud], h * jump_dn / sigma, rate) for h in _HEIGHTS]
