@@ -105,7 +105,7 @@ def _picture(path: Path, suffix: str) -> np.ndarray:
     from skimage.io import imread
 
     if suffix not in (".tif", ".tiff"):
-        from cannoise_jax.recordings.pictures import any_size
+        from cannoise_jax.recordings.opened import any_size
 
         with warnings.catch_warnings(), any_size(), Image.open(path) as image:
             check_claim(path, (image.height, image.width), 1)

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import sys
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from tokenize import TokenError
 from typing import Any, NamedTuple
 
 import numpy as np
+from PIL import Image
 
 from cannoise_jax.recordings.recording import BadInput, Frames
 
@@ -120,6 +122,17 @@ def check_claim(path: str | Path, shape: tuple[int, ...], itemsize: int) -> None
         raise BadInput(
             f"{path}: claims {_by(shape)} values ({claimed / 1e9:.3g} GB) in {size} bytes: damaged"
         )
+
+
+@contextlib.contextmanager
+def any_size() -> Iterator[None]:
+    """Without the library's own limit, which large sensors exceed: `check_claim` has ours."""
+    limit = Image.MAX_IMAGE_PIXELS
+    Image.MAX_IMAGE_PIXELS = None
+    try:
+        yield
+    finally:
+        Image.MAX_IMAGE_PIXELS = limit
 
 
 def check_pixels(path: str | Path, shape: tuple[int, ...]) -> None:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import mmap
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 from cannoise_jax.recordings.metadata import check_overrides, make_recording, reading
-from cannoise_jax.recordings.opened import Opened, check_claim, whole_numbers
+from cannoise_jax.recordings.opened import Opened, any_size, check_claim, whole_numbers
 from cannoise_jax.recordings.recording import BadInput, Recording
 from cannoise_jax.recordings.stacks import side_car
 
@@ -77,17 +75,6 @@ def _pgm(path: str | Path, data: mmap.mmap) -> tuple[np.ndarray, int]:
 
 _BETWEEN = 64
 """Bytes behind an image that are looked at for another one."""
-
-
-@contextlib.contextmanager
-def any_size() -> Iterator[None]:
-    """Without the library's own limit, which large sensors exceed: `check_claim` has ours."""
-    limit = Image.MAX_IMAGE_PIXELS
-    Image.MAX_IMAGE_PIXELS = None
-    try:
-        yield
-    finally:
-        Image.MAX_IMAGE_PIXELS = limit
 
 
 def _pillow(path: str | Path, kind: str) -> tuple[np.ndarray, bool]:

@@ -18,10 +18,11 @@ from typing import Any
 
 import numpy as np
 import tifffile
+from PIL import Image
 
 from cannoise_jax.recordings.lazy import LazyArray, read_stack
 from cannoise_jax.recordings.metadata import FIELDS, check_overrides, make_recording, quiet, reading
-from cannoise_jax.recordings.opened import Opened, check_claim, check_pixels, json_of, whole_numbers
+from cannoise_jax.recordings.opened import Opened, any_size, check_claim, check_pixels, json_of, whole_numbers
 from cannoise_jax.recordings.recording import BadInput, Recording
 from cannoise_jax.recordings.tiff_chain import check_chain
 
@@ -30,6 +31,10 @@ _NO_LEVELS = {0: "values count down from white (WhiteIsZero)", 3: "values are pl
 """What numbers of a TIFF mean, by its PhotometricInterpretation, that are no light."""
 _LOSSY = {6: "JPEG", 7: "JPEG", 34892: "lossy JPEG"}
 """Values of its Compression that keep no pixel as it was."""
+_LZW = 5
+"""Value of the same that Pillow reads, and tifffile alone does not."""
+_READ = (1, 8, 32773, 32946, 34925, 50000, _LZW)
+"""Values of it that are read: none, Deflate, PackBits, LZMA, Zstandard."""
 _log = logging.getLogger(__name__)
 
 
@@ -82,6 +87,8 @@ def open_tiff(path: str | Path) -> Opened:
     if squeezed & _LOSSY.keys():
         how = _LOSSY[(squeezed & _LOSSY.keys()).pop()]
         raise BadInput(f"{path}: compressed as {how}, which changes the pixels: give the raw frames")
+    if unread := sorted(squeezed - set(_READ)):
+        raise BadInput(f"{path}: its compression (number {unread[0]}) is not read: save it without")
     if not whole:
         raise BadInput(f"{path}: not a readable TIFF file: truncated after {count} pages")
     size = next(iter(shapes))
@@ -95,7 +102,7 @@ def open_tiff(path: str | Path) -> Opened:
     if meanings & set(_NO_LEVELS):
         raise BadInput(f"{path}: {_NO_LEVELS[(meanings & set(_NO_LEVELS)).pop()]}: give the raw mosaics")
     shape = (count, *size)
-    read = partial(read_stack, partial(_read_page, path=str(path)), shape)
+    read = partial(read_stack, partial(_read_lzw if _LZW in squeezed else _read_page, path=str(path)), shape)
     kind = next(iter(types))
     if not all(type(n) is int and n > 0 for n in shape):
         raise BadInput(f"{path}: not a readable TIFF file: its sizes are no whole numbers")
@@ -167,6 +174,16 @@ def _no_objects(path: str | Path) -> Iterator[None]:
 def _read_page(number: int, *, path: str) -> np.ndarray:
     with reading(path, f"cannot read page {number}"), quiet("tifffile"):
         return tifffile.imread(path, key=number)
+
+
+def _read_lzw(number: int, *, path: str) -> np.ndarray:
+    with (
+        reading(path, f"cannot read page {number}"),
+        any_size(),
+        Image.open(path, formats=("TIFF",)) as image,
+    ):
+        image.seek(number)
+        return np.array(image)
 
 
 def _pages(file: tifffile.TiffFile) -> list[Any]:

@@ -65,3 +65,19 @@ def test_patterns_of_the_whole_frame_are_no_shadows(what):
         own = np.where(rng.random(SIZE) < 0.002, 0.0, 1.0)
         own[60, 60:62] = 0.0
     assert shadows_line(taken(light * np.ones(SIZE), own=own)) == ""
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_shadows_over_a_tenth_of_a_small_frame_are_told_as_well(seed):
+    """Six sharp discs of five to eleven pixels, which with their skirts take up to a quarter of the frame."""
+    rng, light = np.random.default_rng(40 + seed), LENS.copy()
+    for _ in range(6):
+        row, column, radius = rng.uniform(12, 116), rng.uniform(12, 116), rng.uniform(5, 11)
+        light *= 1 - 0.06 * (np.hypot(Y - row, X - column) < radius)
+    statistics = taken(light, seed=seed)
+    assert "shadows as of dust" in shadows_line(statistics)
+    table = of_all_pixels(transfer_at(statistics))
+    found = next(q.outcome for q in table.quantities if q.name == "PRNU1288")
+    assert found.value == pytest.approx(100 * PRNU, rel=0.05)
+    sigma = MECHANISMS["prnu"].estimator.measure(statistics, None)["sigma"]
+    assert sigma.value == pytest.approx(PRNU, rel=0.06)

@@ -1,13 +1,16 @@
 import json
 import os
+import struct
 
 import h5py
 import numpy as np
 import pytest
 import tifffile
+from PIL import Image
 
 from cannoise_jax.recordings.load import load_capture_set, load_recording
 from cannoise_jax.recordings.recording import BadInput
+from cannoise_jax.recordings.stacks import read_tiff
 
 FRAMES = np.random.default_rng(0).integers(60, 1000, (3, 6, 8)).astype(np.uint16)
 SIDE_CAR = {
@@ -315,3 +318,26 @@ def test_side_cars_as_other_systems_write_them(tmp_path):
     beside.symlink_to("nowhere.json")
     with pytest.raises(BadInput, match=r"a\.json: a link to nothing"):
         load_recording(path)
+
+
+@pytest.mark.parametrize("dtype", [np.uint16, np.uint8])
+@pytest.mark.parametrize("squeezed", ["tiff_lzw", "tiff_adobe_deflate", "packbits", None])
+def test_pages_that_other_programs_compress(dtype, squeezed, tmp_path):
+    frames = np.random.default_rng(0).integers(0, 200, (3, 8, 12)).astype(dtype)
+    first, *others = (Image.fromarray(frame) for frame in frames)
+    path = tmp_path / "stack.tif"
+    first.save(path, save_all=True, append_images=others, compression=squeezed)
+    found = read_tiff(path, cfa="MONO", black_level=0, white_level=255)
+    np.testing.assert_array_equal(np.asarray(found.frames[:]), frames)
+    np.testing.assert_array_equal(np.asarray(found.frames[2]), frames[2])
+
+
+def test_a_compression_that_is_not_read_is_named(tmp_path):
+    path = tmp_path / "stack.tif"
+    tifffile.imwrite(path, np.zeros((8, 12), np.uint16))
+    data = bytearray(path.read_bytes())
+    at = data.index(struct.pack("<HHI", 259, 3, 1))
+    data[at + 8 : at + 10] = struct.pack("<H", 50001)
+    path.write_bytes(data)
+    with pytest.raises(BadInput, match=r"stack.tif: its compression \(number 50001\) is not read: save"):
+        read_tiff(path, cfa="MONO", black_level=0, white_level=255)

@@ -280,7 +280,7 @@ def _as_warm(s: FrameStatistics, temperature_c: float | None) -> bool:
 
 def _errors(s: FrameStatistics) -> PerChannel:
     errors = np.array([mean_error(s, [c]) for c in range(4)])
-    return per_channel(errors if s.rounded is None else np.hypot(errors, s.rounded[1]))
+    return per_channel(errors if s.rounded is None else np.hypot(errors, s.rounded[1][:4]))
 
 
 def _extended(series: Sequence[FrameStatistics], seconds: float) -> tuple[PerChannel, PerChannel]:

@@ -21,7 +21,7 @@ _DEEP = 0.02
 _SINGLE = 4.0
 """Robust standard deviations of the pixels, or twice `_DEEP`, at which each counts at most: dead pixels are
 no shadow, however little light they show."""
-_MOST = 0.1
+_MOST = 0.3
 """Share of the frame up to which shadows are; more is uneven light."""
 
 
