@@ -19,7 +19,7 @@ DEAD = 0.2
 light comes past it at an angle."""
 CLEAR = 6.0
 """Robust standard deviations over the pixels of an average of frames that they have to lie above that."""
-_ROUNDS = 3
+_ROUNDS = 8
 """Of the surface that stands for the light, without what bent the one before."""
 
 
@@ -42,7 +42,7 @@ class Response(NamedTuple):
 def response_of(gains: Float[np.ndarray, "h w"], keep: Bool[np.ndarray, "h w"]) -> Response:
     """The response of a channel from its relative signal. keep: pixels that may be used."""
     light, degree = shading(gains, keep)
-    used, shadow = keep, np.zeros(keep.shape, bool)
+    used, shadow, before = keep, np.zeros(keep.shape, bool), None
     for _ in range(_ROUNDS if keep.any() else 0):
         apart = gains - light
         shadow = in_shadow(apart, light, keep)
@@ -57,8 +57,10 @@ def response_of(gains: Float[np.ndarray, "h w"], keep: Bool[np.ndarray, "h w"]) 
         if not used.any():
             break
         light, degree = shading(gains, used)
-        if not (shadow.any() or dead.any()):
+        odd = shadow | dead
+        if not odd.any() or (before is not None and np.array_equal(odd, before)):
             break
+        before = odd
     square = float(np.mean(light[used] ** 2)) if used.any() else 1.0
     return Response(gains - light, light, used, degree, square, shadow)
 
