@@ -69,7 +69,7 @@ def test_patterns_of_the_whole_frame_are_no_shadows(what):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_shadows_over_a_tenth_of_a_small_frame_are_told_as_well(seed):
-    """Four sharp discs of five to eleven pixels, which with their skirts take up to a quarter of the frame."""
+    """Four sharp discs of five to eleven pixels, with their skirts up to a quarter of the frame."""
     rng, light = np.random.default_rng(40 + seed), LENS.copy()
     for _ in range(4):
         row, column, radius = rng.uniform(12, 116), rng.uniform(12, 116), rng.uniform(5, 11)

@@ -1,4 +1,5 @@
-"""Exposures that files state and nobody meant: 0 s of frames that were lit, and others than names say."""
+"""Exposures that files state and nobody meant: 0 s of frames that were lit, and others than names say; other
+settings than names say as well."""
 
 from __future__ import annotations
 
@@ -10,6 +11,10 @@ from cannoise_jax.recordings.recording import LIT
 
 _AGREE = 0.1
 """Names round: a difference below this share is none."""
+_OTHERS = {"iso": ("ISO {:g}", 0.5), "temperature_c": ("{:g} C", 2.5), "gain_db": ("a gain of {:g} dB", 0.05)}
+_OTHERS["gain_setting"] = ("a gain of {:g}", 0.5)
+"""By field what is said of a setting, and the difference below which two are one; of temperatures in K, as
+coolers are set to one and files state that of the sensor."""
 
 
 def judged_exposures(shots: Sequence[Shot], kinds: dict[str, str]) -> tuple[list[Shot], list[str]]:
@@ -38,6 +43,22 @@ def judged_exposures(shots: Sequence[Shot], kinds: dict[str, str]) -> tuple[list
     return out, said + [_contradiction(names, *pair) for pair, names in apart.items()]
 
 
+def other_settings(shots: Sequence[Shot]) -> list[str]:
+    """A line for every setting but exposures of which names say another than files state."""
+    apart: dict[tuple[str, float, float], list[str]] = {}
+    for shot in shots:
+        stated = shot.about | shot.known
+        for field, value in shot.about.get("named", {}).items():
+            own = stated.get(field)
+            if field in _OTHERS and own is not None and abs(own - value) > _OTHERS[field][1]:
+                apart.setdefault((field, value, own), []).append(shot.name)
+    return [
+        f"{listed(names)}: {_OTHERS[field][0].format(named)} by name, but {_OTHERS[field][0].format(own)} by "
+        "header or side-car: the latter is used"
+        for (field, named, own), names in apart.items()
+    ]
+
+
 def exposed(kinds: dict[str, str]) -> list[str]:
     """What is wrong with an exposure of 0 s that the caller states of all. kinds: by name."""
     lit = sorted(name for name, kind in kinds.items() if kind in LIT)
@@ -49,7 +70,7 @@ def _is_zero(shot: Shot) -> bool:
 
 
 def _named(shot: Shot) -> float:
-    return shot.about.get("named_exposure_s") or 0.0
+    return shot.about.get("named", {}).get("exposure_s") or 0.0
 
 
 def _without(shot: Shot) -> Shot:

@@ -13,6 +13,7 @@ from cannoise_jax.recordings.kind_words import kinds_in, one_of
 _MOST_NAMED = 3
 _AVERAGES = ("master", "superbias", "superdark", "superflat", "stacked", "integration", "averaged")
 _SHORT_GAIN = re.compile(r"(?<![a-z\d])g([1-9]\d*)(?![\da-z.])", re.IGNORECASE)
+_DECIBELS = re.compile(r"(?<![a-z])gain[ _-]?(\d+(?:\.\d+)?) ?db(?![a-z])", re.IGNORECASE)
 _ISO = 25, 5_000_000
 """Least and highest ISO of cameras: less counts files."""
 _CELSIUS = re.compile(r"(?<![\d.,])([+-]?\d+(?:\.\d+)?) ?(?:°c|degc|c)(?![a-z\d])", re.IGNORECASE)
@@ -49,8 +50,8 @@ def named_average(path: PurePath) -> str | None:
 
 
 class NamedSettings(NamedTuple):
-    """What names say: exposure_s, iso, temperature_c, gain_setting (in the camera's own unit), binning; and
-    what is to be said of them, by field, whether it was read or not."""
+    """What names say: exposure_s, iso, temperature_c, gain_db, or gain_setting (in the camera's own unit),
+    binning; and what is to be said of them, by field, whether it was read or not."""
 
     values: dict[str, Any]
     doubts: dict[str, str]
@@ -62,10 +63,12 @@ def named_settings(path: PurePath, counters: Collection[str] = ()) -> NamedSetti
     doubts: dict[str, str] = {}
     for part in (path.stem, *reversed(path.parent.parts)):
         text = plain(part)
+        decibels = _DECIBELS.search(text)
+        gain = {"gain_db": Reading(float(decibels[1]))} if decibels else {"gain_setting": _gain(part)}
         readings = {
             "exposure_s": exposure_in(part, counters),
             "iso": number_beside("iso", part, *_ISO),
-            "gain_setting": _gain(part),
+            **gain,
         }
         for field, (value, doubt) in readings.items():
             if field not in values and field not in doubts:

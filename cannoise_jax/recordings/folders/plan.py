@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cannoise_jax.recordings.folders.exposures import exposed, judged_exposures
+from cannoise_jax.recordings.folders.exposures import exposed, judged_exposures, other_settings
 from cannoise_jax.recordings.folders.full import with_full_codes
 from cannoise_jax.recordings.folders.groups import Group, differing, grouped, word_of
 from cannoise_jax.recordings.folders.kinds import TAKEN_AS_LIGHTS, kinds_of, of_other_kinds
@@ -83,6 +83,7 @@ def plan_folder(
     notes, problems = notes + more_notes, problems + more_problems
     usable, silent = _one_pattern([s for s in found.shots if s.name in kinds])
     notes += silent
+    notes += other_settings(usable)
     if "exposure_s" not in overrides:
         usable, doubtful = judged_exposures(usable, kinds)
         notes += doubtful

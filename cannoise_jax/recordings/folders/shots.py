@@ -21,7 +21,7 @@ from cannoise_jax.recordings.metadata import make_recording
 from cannoise_jax.recordings.native import SUFFIXES as NATIVE
 from cannoise_jax.recordings.opened import Opened, stated
 from cannoise_jax.recordings.packing import SITES
-from cannoise_jax.recordings.recording import BadInput, PerChannel, per_channel
+from cannoise_jax.recordings.recording import BadInput, PerChannel, iso_of_gain, per_channel
 from cannoise_jax.recordings.stated_values import check_sites
 from cannoise_jax.recordings.usable import fault_of, is_full
 
@@ -37,8 +37,8 @@ class Shot(NamedTuple):
     said: the kind as the header has it, named: as names have it. medians: of the first frame, mosaic order.
     top: highest value. step: common spacing of the first frame's values (1: none). print: of all pixels.
     levels: median of every frame, DN; None: it holds no noise. about: see `Opened`, and of names
-    named_exposure_s, and named_doubts, what is to be said of what they say. pages: the frames that are
-    meant, from 0; None: all of them. sites: of the first frame, see `site_levels`.
+    named, their settings by field, and named_doubts, what is to be said of what they say. pages: the frames
+    that are meant, from 0; None: all of them. sites: of the first frame, see `site_levels`.
     """
 
     path: Path
@@ -223,11 +223,14 @@ def _shot(path: Path, name: str, given: frozenset[str], counters: frozenset[str]
     known = _sound(path, opened, {n: v for n, v in known.items() if n not in given})
     named = named_settings(Path(name), counters)
     doubts = [words for field, words in named.doubts.items() if field not in known and field not in about]
-    about |= {"named_exposure_s": named.values.get("exposure_s"), "named_doubts": doubts}
+    about |= {"named": named.values, "named_doubts": doubts}
+    stated_gain = {"iso", "gain_setting", "gain_db"} & (known.keys() | about)
     for field, value in named.values.items():
-        if field == "gain_setting" and ("iso" in known or "gain_setting" in about):
+        if field in ("gain_setting", "gain_db") and stated_gain:
             continue
         (about if field in ("gain_setting", "binning") else known).setdefault(field, value)
+        if field == "gain_db":
+            known["iso"] = iso_of_gain(value)
     check, top, first, fault = 0, 0, None, None
     middle: list[float | None] = []
     for number in range(shape[0]):

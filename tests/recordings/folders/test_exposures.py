@@ -83,3 +83,40 @@ def test_exposures_of_no_camera_are_refused(tmp_path, seconds):
     (problem,) = plan_folder(tmp_path).problems
     assert problem.startswith(f"dark_x.fits: exposure_s is {seconds:g}: expected ")
     assert not plan_folder(tmp_path, {"exposure_s": 1.0}).problems
+
+
+def test_other_settings_than_names_say_are_said(tmp_path):
+    """The header's holds: names are given by hand."""
+    for n in (1, 2):
+        for kind in ("flat", "dark"):
+            path = tmp_path / f"{kind}_{n}_iso100_-20C.fits"
+            shot(
+                path,
+                kind,
+                IMAGETYP=kind,
+                EXPTIME=1.0,
+                INSTRUME="Acme 100",
+                ISOSPEED=800,
+                **{"CCD-TEMP": -5.0},
+            )
+    plan = plan_folder(tmp_path)
+    assert "and 1 more: ISO 100 by name, but ISO 800 by header or side-car: the latter is used" in notes(plan)
+    assert ": -20 C by name, but -5 C by header" in notes(plan)
+    assert {g.settings["iso"] for g in plan.sets[0].groups} == {800}
+
+
+def test_settings_that_names_round_are_not_said(tmp_path):
+    for n in (1, 2):
+        path = tmp_path / f"dark_{n}_-20C.fits"
+        shot(path, "dark", IMAGETYP="dark", EXPTIME=1.0, INSTRUME="Acme 100", **{"CCD-TEMP": -19.4})
+    assert "by name" not in notes(plan_folder(tmp_path))
+
+
+def test_gains_in_decibels_of_names_part_recordings(tmp_path):
+    for decibels in (6, 12):
+        for n in (1, 2):
+            for kind in ("flat", "dark"):
+                path = tmp_path / f"{kind}_gain{decibels}dB_{n}.fits"
+                shot(path, kind, IMAGETYP=kind, EXPTIME=1.0, INSTRUME="Acme 100")
+    plan = plan_folder(tmp_path)
+    assert sorted({g.settings["gain_db"] for s in plan.sets for g in s.groups}) == [6.0, 12.0]
