@@ -46,7 +46,10 @@ def open_native(path: str | Path) -> Opened:
         raise BadInput(f"{path}: no such file")
     with reading(path, "not a readable HDF5 file"), sound_file(path) as file:
         if not isinstance(file.get("frames"), h5py.Dataset):
-            raise BadInput(f"{path}: holds no dataset 'frames': not a recording in the native format")
+            raise BadInput(
+                f"{path}: holds no dataset 'frames', as files of other programs: save its frames with "
+                "numpy.save (uint16, frames x rows x columns) and give that"
+            )
         for name in ("frames", "clean"):
             if isinstance(file.get(name), h5py.Dataset):
                 check_claim(path, file[name].shape, file[name].dtype.itemsize)

@@ -18,6 +18,11 @@ from PIL import Image
 
 from cannoise_jax.recordings.recording import BadInput, Frames
 
+
+class Developed(BadInput):
+    """A picture in colours, which is no raw frame."""
+
+
 MOST_PIXELS = 1 << 30
 """Of a file: more, and what it says of its size is not believed before memory is asked for it."""
 _DENSEST = 2000

@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 from cannoise_jax.recordings.metadata import check_overrides, make_recording, reading
-from cannoise_jax.recordings.opened import Opened, any_size, check_claim, whole_numbers
+from cannoise_jax.recordings.opened import Developed, Opened, any_size, check_claim, whole_numbers
 from cannoise_jax.recordings.recording import BadInput, Recording
 from cannoise_jax.recordings.stacks import side_car
 
@@ -86,7 +86,7 @@ def _pillow(path: str | Path, kind: str) -> tuple[np.ndarray, bool]:
     ):
         check_claim(path, (image.height, image.width), 1)
         if image.mode not in ("L", "I", "I;16", "I;16B"):
-            raise BadInput(
+            raise Developed(
                 f"{path}: colours or a palette ({image.mode}): expected a grey mosaic of 8 or 16 bits"
             )
         return whole_numbers(path, np.array(image)), image.mode != "L"

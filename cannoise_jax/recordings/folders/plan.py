@@ -162,6 +162,8 @@ def _notes(found: Scan) -> list[str]:
         notes.append(f"{listed(found.links)}: not read, links to folders are not followed")
     if found.lost:
         notes.append(f"{listed(found.lost)}: not read, a link to nothing")
+    if found.pictures:
+        notes.append(f"{listed(found.pictures)}: not read, developed pictures in colours")
     for suffixes, why in UNREAD:
         counts = [f"{n} {suffix}" for suffix, n in sorted(found.unread.items()) if suffix in suffixes]
         notes += [f"not read: {', '.join(counts)} ({why})"] if counts else []

@@ -19,7 +19,7 @@ from cannoise_jax.recordings.folders.sites import Sites, site_levels
 from cannoise_jax.recordings.load import instead_of, is_supported, load_recording, open_file, suffix_of
 from cannoise_jax.recordings.metadata import make_recording
 from cannoise_jax.recordings.native import SUFFIXES as NATIVE
-from cannoise_jax.recordings.opened import Opened, stated
+from cannoise_jax.recordings.opened import Developed, Opened, stated
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import BadInput, PerChannel, iso_of_gain, per_channel
 from cannoise_jax.recordings.stated_values import check_sites
@@ -75,7 +75,8 @@ class Scan(NamedTuple):
     """The files of a folder. averages: masters and stacks, with the words that say so. failures: why a file
     cannot be used. duds: files whose frames hold no noise, and why. full: those of them that are saturated,
     as shots without levels. unread: of other formats, by suffix.
-    links: to folders; they may lead anywhere, in circles too. lost: links to nothing, of no format."""
+    links: to folders; they may lead anywhere, in circles too. lost: links to nothing, of no format. pictures:
+    in colours, beside raw frames."""
 
     shots: tuple[Shot, ...]
     averages: tuple[tuple[str, str], ...]
@@ -86,6 +87,7 @@ class Scan(NamedTuple):
     links: tuple[str, ...]
     lost: tuple[str, ...]
     full: tuple[Shot, ...] = ()
+    pictures: tuple[str, ...] = ()
 
 
 class _Dud(BadInput):
@@ -114,6 +116,7 @@ def scan(
     unread: dict[str, int] = {}
     links: list[str] = []
     lost: list[str] = []
+    developed: list[tuple[str, str]] = []
     leave_out = tuple(leave_out)
     found = list(_files(folder, leave_out, unread, links, lost))
     if not found:
@@ -134,6 +137,9 @@ def scan(
             duds.append((name, str(error)))
             full += [error.full] if error.full is not None else []
             continue
+        except Developed as error:
+            developed.append((name, str(error).removeprefix(f"{path}: ")))
+            continue
         except BadInput as error:
             named = named_average(Path(name))
             if named:  # averages hold fractions, which no reader takes
@@ -152,8 +158,13 @@ def scan(
         seen[key] = name
         shots.append(shot)
     tell(len(found), len(found))
+    if not shots:  # then they are what was meant
+        failures += developed
     good, apart, ends = tuple(shots), tuple(averages), (tuple(links), tuple(lost))
-    return Scan(good, apart, tuple(duds), tuple(copies), tuple(failures), unread, *ends, tuple(full))
+    pictures = tuple(name for name, _ in developed) if shots else ()
+    return Scan(
+        good, apart, tuple(duds), tuple(copies), tuple(failures), unread, *ends, tuple(full), pictures
+    )
 
 
 def matches(name: str, pattern: str) -> bool:

@@ -7,6 +7,7 @@ import shutil
 import numpy as np
 import pytest
 from astropy.io import fits
+from PIL import Image
 
 from cannoise_jax.commands.calibrate import calibrate
 from cannoise_jax.physics.transfer.model import sensor_model
@@ -332,3 +333,11 @@ def test_swapped_kinds_and_darks_of_another_gain_are_said(tmp_path):
     capture, _ = capture_of(tmp_path / "b", Options({}), tmp_path / "cache")
     with pytest.raises(BadInput, match=r"at gain 10 dB \(others: gain 4 dB\): record .* with the cap on"):
         sensor_model(*calibrate(capture))
+
+
+def test_a_preview_in_colours_beside_raw_frames_is_passed_over(tmp_path):
+    picture = Image.fromarray(np.zeros((24, 32, 3), np.uint8))
+    picture.save(tmp_path / "preview.png")
+    assert "colours or a palette" in "".join(plan_folder(tmp_path).problems)
+    plan = plan_folder(night(tmp_path))
+    assert not plan.problems and "preview.png: not read, developed pictures in colours" in notes(plan)
