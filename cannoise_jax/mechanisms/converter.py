@@ -3,6 +3,7 @@ ends."""
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 
 from cannoise_jax.mechanisms import imprints, looks
@@ -89,23 +90,29 @@ QUANTIZATION = Mechanism(
 
 
 def _skip_codes(key, x, values, maps, context: Context):
-    period = jnp.round(values["period"])
     index = jnp.round(x / context.code_step)
-    return (index + (jnp.mod(index, period) == 0)) * context.code_step
+    missing = jnp.mod(index - jnp.round(values["phase"]), jnp.round(values["period"])) == 0
+    side = jnp.where(jax.random.uniform(key, x.shape) < values["above"], 1.0, -1.0)
+    return (index + missing * side) * context.code_step
 
 
 def _skip_effect(values, maps, context):
-    # One code in `period` moves up by a step.
-    mean = context.code_step / jnp.round(values["period"])
+    # One code in `period` moves by a step, up or down.
+    mean = (2 * values["above"] - 1) * context.code_step / jnp.round(values["period"])
     return Effect(mean=mean, lattice={"missing_period": jnp.round(values["period"])})
 
 
 MISSING_CODES = Mechanism(
     id="missing_codes",
     point=Point("converter", "code", "frame", "frozen"),
-    parameters=(Parameter("period", "code steps", 8.0, 2.0, 4096.0, "one code in so many never occurs"),),
-    equation=r"k \to k + [\,k \ \mathrm{mod}\ p = 0\,]",
-    sentence="The camera multiplied the codes after conversion, so the histogram has a comb of empty bins.",
+    parameters=(
+        Parameter("period", "code steps", 8.0, 2.0, 4096.0, "one code in so many never occurs"),
+        Parameter("phase", "code steps", 0.0, 0.0, 4095.0, "which of them, counted from code 0", 0.0),
+        Parameter("above", "1", 1.0, 0.0, 1.0, "share of its values on the next code above, else below", 1.0),
+    ),
+    equation=r"k \to k \pm [\,k \ \mathrm{mod}\ p = \varphi\,]",
+    sentence="The camera multiplied the codes after conversion, or its converter skips some: the histogram "
+    "has a comb of empty bins.",
     reference="IEEE 1241-2010, section 4 (missing codes of a converter)",
     needs=("pair",),
     confused_with=("quantization", "lossy_compression"),

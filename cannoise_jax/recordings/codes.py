@@ -131,3 +131,17 @@ def _gap_kind(codes: np.ndarray, step: int) -> Literal["lattice", "compressed", 
         return "lattice"
     widths = [w.mean() for w in regular]
     return "compressed" if plain or max(widths) > 1.25 * min(widths) else "scaled"
+
+
+def share_above(index: Int[np.ndarray, "n"], counts: Int[np.ndarray, "n"], period: int, phase: int) -> float:
+    """Of the values of every so-manieth code, which is missing, the share that the next code holds; the one
+    before has the others. index, counts: of codes in a row. 1 where every code is beside two missing ones."""
+    if period < 3:
+        return 1.0
+    # Over one period values are moved, none is lost.
+    usual = np.convolve(counts, np.ones(period) / period, "same")
+    above, below = (
+        float(np.sum((counts - usual)[index % period == (phase + side) % period])) for side in (1, -1)
+    )
+    above, below = max(above, 0.0), max(below, 0.0)
+    return above / (above + below) if above + below > 0 else 1.0

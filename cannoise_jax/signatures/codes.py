@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from cannoise_jax.recordings.codes import share_above
 from cannoise_jax.signatures.added import strength
 from cannoise_jax.signatures.handed import Addition, Found
 from cannoise_jax.signatures.recorded import Codes, Recorded
@@ -74,6 +75,7 @@ def comb_score(fields, *, codes: Codes) -> Score | None:
     _, chi2, dof = max(found, key=lambda f: f[1] - 2 * f[2])
     comb = _comb(index, counts)
     distance, phase, shortfall = comb or (0.0, 0, 0.0)
+    above = share_above(index, counts, round(distance), phase) if comb else 1.0
     return Score(
         log_p=sidak(smallest, tried) if comb else 0.0,
         gain=0.5 * max(chi2 - dof, 0.0) if comb else 0.0,
@@ -86,7 +88,7 @@ def comb_score(fields, *, codes: Codes) -> Score | None:
             "period": (distance, "code steps", 0.0),
             "shortfall": (shortfall, "1", float(np.sqrt(distance / total))),
         },
-        where={"axis": "code", "period": distance, "phase": phase},
+        where={"axis": "code", "period": distance, "phase": phase, "above": above},
         spot={"period": (distance, 0.0)},
     )
 
@@ -221,9 +223,9 @@ def combed(
 
     def simulate(found: Found) -> Addition | None:
         """Codes that are only rarer, or doubled: the camera model knows of none."""
-        value = found.score.amplitude
+        value, where = found.score.amplitude, found.score.where
         short = found.score.parameters["shortfall"][0] < 0.7 or value % 1
-        return None if short else Addition({parameter: value})
+        return None if short else Addition({parameter: value, **{n: where[n] for n in ("phase", "above")}})
 
     def says(entry: dict[str, Any]) -> tuple[str, tuple[float, float]]:
         lost = entry["parameters"]["shortfall"]

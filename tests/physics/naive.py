@@ -254,7 +254,9 @@ SAMPLE = {
         x < c["black"] + p["level_dn"], c["black"] + p["level_dn"], x
     ),
     "missing_codes": lambda rng, x, p, m, c: (
-        x + np.where(np.round(x / c["step"]) % round(p["period"]) == 0, c["step"], 0)
+        x
+        + np.where((np.round(x / c["step"]) - p["phase"]) % round(p["period"]) == 0, c["step"], 0)
+        * np.where(rng.random(x.shape) < p["above"], 1, -1)
     ),
     "demosaicing": demosaicing,
     "in_camera_denoising": lambda rng, x, p, m, c: (

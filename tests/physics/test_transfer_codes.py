@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import jax
 import numpy as np
 import pytest
 
 from cannoise_jax.mechanisms import MECHANISMS
+from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.transfer.ends import rails
 from cannoise_jax.physics.transfer.estimate import NotMeasurable
 from cannoise_jax.physics.transfer.frames import frame_statistics
@@ -91,3 +93,32 @@ def test_rounding_to_codes_that_a_gain_put_apart_is_no_read_noise():
     )
     assert transfer.baseline.read_noise[0] == pytest.approx(1.25 * gain, rel=0.01)
     assert transfer.baseline.gain[0] == pytest.approx(gain / 4, rel=0.02)
+
+
+@pytest.mark.parametrize("period", [5, 8, 13])
+@pytest.mark.parametrize(("above", "up"), [(1.0, 1.0), (0.0, 0.0), (0.5, 0.5)])
+def test_which_codes_are_missing_and_where_their_values_are(period, above, up):
+    rng = np.random.default_rng(period)
+    phase = period // 2
+
+    def stored(values):
+        codes = np.rint(values)
+        side = np.where(rng.random(codes.shape) < up, 1, -1)
+        return codes + (codes % period == phase) * side
+
+    found = MECHANISMS["missing_codes"].estimator(taken(stored), None)
+    assert (found["period"].value, found["phase"].value) == (period, phase)
+    assert found["above"].value == pytest.approx(above, abs=0.1)
+
+
+def test_codes_that_are_missing_are_drawn_where_they_are_missing():
+    values = {"period": 8.0, "phase": 3.0, "above": 0.0}
+    model = SensorModel.poisson_gaussian(2.0, 4.0, 100, 4095, "MONO").with_mechanism(
+        "missing_codes", **values
+    )
+    drawn = model.sample(jax.random.key(0), np.zeros((64, 64), np.float32), Settings(frames=8))
+    counts = np.bincount(np.asarray(drawn).ravel())
+    codes = np.flatnonzero(counts)
+    assert not (codes % 8 == 3).any() and {1, 2, 4} <= set(codes % 8)
+    middle = counts[96:104]
+    assert middle[2] > 1.6 * middle[4]

@@ -19,7 +19,7 @@ from cannoise_jax.physics.transfer.estimate import (
 )
 from cannoise_jax.physics.transfer.estimators.pick import column_offsets, darkest, repeated_darks
 from cannoise_jax.physics.transfer.frames import FrameStatistics
-from cannoise_jax.recordings.codes import code_histogram, code_lattice
+from cannoise_jax.recordings.codes import code_histogram, code_lattice, share_above
 
 _POPULATED = 50  # counts on both sides that make an empty code a missing one
 _RUN = 10
@@ -37,9 +37,9 @@ def quantization(statistics: Sequence[FrameStatistics], baseline=None) -> Estima
 
 
 def missing_codes(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
-    """period: median distance in code steps of codes that never occur between populated ones; exact. Codes of
-    a table or a digital gain lie further apart everywhere, or in a part of the range: no code of a converter
-    is missing then."""
+    """period: median distance in code steps of codes that never occur between populated ones; phase: which
+    of them; above: share of their values that the next code has; exact. Codes of a table or a digital gain
+    lie further apart everywhere, or in a part of the range: no code of a converter is missing then."""
     histogram = np.sum([code_histogram(s.recording.frames) for s in statistics], axis=0)
     if why := spread_apart(histogram):
         return NotMeasurable(why, answered=True)
@@ -54,7 +54,10 @@ def missing_codes(statistics: Sequence[FrameStatistics], baseline=None) -> Estim
     if len(missing) < 2:
         populated = int(np.sum(counts >= _POPULATED))
         return NotMeasurable(f"no missing codes among {populated} well-populated ones", answered=True)
-    return {"period": _exact(float(np.median(np.diff(missing))))}
+    period, index = int(np.median(np.diff(missing))), codes[0] // step + np.arange(len(counts))
+    phase = int(np.bincount(index[missing] % period).argmax())
+    found = {"period": period, "phase": phase, "above": share_above(index, counts, period, phase)}
+    return {name: _exact(float(value)) for name, value in found.items()}
 
 
 def spread_apart(histogram: Int[np.ndarray, "65536"]) -> str:
