@@ -80,7 +80,10 @@ def _spots(rest: Float[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
     """Where spots are in one frame. rest: in units of the noise, less the average of the frames, which is
     brighter where there are spots in others."""
     rest = np.clip(rest, -_SINGLE, _SINGLE)
-    means = ndimage.uniform_filter(rest, _SIDE) - ndimage.uniform_filter(rest, _AROUND)
+    rest = rest - ndimage.uniform_filter(rest, _AROUND)
+    # Of fewer pixels along the edges a mean has more noise, of mirrored ones more still.
+    means = ndimage.uniform_filter(rest, _SIDE, mode="constant")
+    means = means / np.sqrt(ndimage.uniform_filter(np.ones(rest.shape), _SIDE, mode="constant"))
     means = means / max(robust_std(means), 1e-9)
     seeds, whole = means > _FAR, np.ones((3, 3))
     if not seeds.any():
