@@ -134,7 +134,9 @@ def _fraction(correlation: float) -> float:
 
 
 def in_order(fields: tuple[Fields, ...], score: Score, *, times: dict[int, list[int]]) -> tuple[Fields, ...]:
-    """Lit fields whose contrasts are whitened over successive frames."""
+    """Lit fields whose contrasts are whitened over successive frames, and in whose mean frames that remember
+    each other count for fewer. The first frame, which remembers others than these, tells nothing of the
+    light."""
     out = []
     for f in fields:
         order = times.get(f.number, [])[: f.frames]
@@ -142,16 +144,33 @@ def in_order(fields: tuple[Fields, ...], score: Score, *, times: dict[int, list[
             out.append(f)
             continue
         contrast = helmert(f.frames)
+        successive = np.abs(np.subtract.outer(order, order)) == 1
         rho = score.where["correlation"] * float(np.mean(f.shot[f.usable])) if f.usable.any() else 0.0
-        law = (
-            contrast @ (np.eye(f.frames) + rho * (np.abs(np.subtract.outer(order, order)) == 1)) @ contrast.T
-        )
+        law = contrast @ (np.eye(f.frames) + rho * successive) @ contrast.T
         values, vectors = np.linalg.eigh(law)
         root = (vectors / np.sqrt(np.maximum(values, 0.05))) @ vectors.T
         inner = np.einsum("mn,nij->mij", root, f.contrasts[: f.frames - 1]).astype(np.float32)
-        contrasts = np.concatenate([inner, f.contrasts[f.frames - 1 :]])
-        out.append(f._replace(contrasts=contrasts))
+        if 0 in order:
+            inner = _without_light(f, inner, root @ contrast[:, order.index(0)])
+        # Either these frames or those before hold the first.
+        last = _without_light(f, f.contrasts[f.frames - 1 :], np.ones(len(f.contrasts) - len(inner)))
+        contrasts = np.concatenate([inner, last])
+        # Noise of a mean of such frames, which sigma stands for; contrasts keep their unit.
+        more = np.float32(np.sqrt(1 + rho * successive.sum() / f.frames))
+        static = None if f.static is None else f.static / more
+        out.append(
+            f._replace(contrasts=contrasts, static=static, sigma=f.sigma * more, louder=f.louder / more)
+        )
     return tuple(out)
+
+
+def _without_light(field: Fields, c: np.ndarray, of: Float[np.ndarray, "n"]) -> np.ndarray:
+    """Contrasts without that part of what is in proportion to the signal which is of one frame. of: what that
+    adds to each."""
+    power = float(np.sum(field.relative**2))
+    along = of / max(float(np.linalg.norm(of)), 1e-12)
+    share = float(along @ np.einsum("nij,ij->n", c, field.relative)) / max(power, 1e-12)
+    return (c - (share * along)[:, None, None] * field.relative).astype(np.float32)
 
 
 def lag(recorded: Recorded, *, name: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]) -> Signature:

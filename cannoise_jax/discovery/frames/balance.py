@@ -16,7 +16,7 @@ from cannoise_jax.physics.core.mechanism import Mechanism
 from cannoise_jax.physics.core.places import place
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.sensor_draws import closed_moments
-from cannoise_jax.physics.core.settings import IsoTable
+from cannoise_jax.physics.core.settings import IsoTable, of_larger_gain
 from cannoise_jax.signatures.fields import channel_index, native
 from cannoise_jax.signatures.phasors import orthonormal, projected_out
 
@@ -51,7 +51,8 @@ def balanced(bare: SensorModel, model: SensorModel, prepared: Prepared) -> Senso
     """The model with gain and read noise lowered so that its temporal variance of the ordinary pixel is that
     of the recordings: at black of the shortest dark, and brighter of the fitted baseline, whose line through
     long darks and flats need not meet the short ones. Brighter: at the same mean, not under the same light,
-    of which findings such as unlike greens take or give a part."""
+    of which findings such as unlike greens take or give a part. What findings have in electrons was measured
+    in DN, at the gain of the fitted baseline."""
     channel = channel_index(prepared.fields[0].mean.shape)
     for n, iso in enumerate(np.asarray(bare.iso)):
         seconds, dark, freedom = _shortest_dark(prepared, float(iso), channel, model)
@@ -74,7 +75,9 @@ def balanced(bare: SensorModel, model: SensorModel, prepared: Prepared) -> Senso
             gain = np.clip(gain * slope, _MOST_CHANGE[0] * shot0, _MOST_CHANGE[1] * shot0)
             read = read_dn / gain
         model = _with_noise(model, n, gain, read)
-    return model
+    grown = float(np.mean(np.asarray(model.gain_dn_per_e) / np.asarray(bare.gain_dn_per_e)))
+    kept = tuple(of_larger_gain(f, grown) for f in model.mechanisms)
+    return dataclasses.replace(model, mechanisms=kept)
 
 
 def _share_of_light(

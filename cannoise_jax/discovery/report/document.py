@@ -240,8 +240,9 @@ def finding(diagnosis: Result, step: Step, proof: Proof) -> dict[str, Any]:
         "UNKNOWN_STRUCTURE" if mechanism == UNKNOWN else "AMBIGUOUS" if step.named.ambiguous else "FOUND"
     )
     unit = diagnosis.terms[nearest].unit if nearest != UNKNOWN else _unit(score)
-    value = score.amplitude
-    interval = list(score.interval90)
+    grown = outcome.grown_gain(diagnosis)
+    value = score.amplitude / _larger(unit, grown)
+    interval = [v / _larger(unit, grown) for v in score.interval90]
     per_pixel = None
     if proof.gain is not None and proof.pixels:
         per_pixel = {
@@ -256,8 +257,9 @@ def finding(diagnosis: Result, step: Step, proof: Proof) -> dict[str, Any]:
         "where": _where(step.named.score),
         "amplitude": {"value": value, "unit": unit, "ci90": interval},
         "parameters": {
-            n: {"value": v, "unit": u, "ci90": [v - Z90 * e, v + Z90 * e]}
+            n: {"value": v / own, "unit": u, "ci90": [(v - Z90 * e) / own, (v + Z90 * e) / own]}
             for n, (v, u, e) in score.parameters.items()
+            for own in (_larger(u, grown),)
         },
         "p_value": p_of(step.log_p),
         "log_e_value": proof.log_e,
@@ -276,6 +278,11 @@ def finding(diagnosis: Result, step: Step, proof: Proof) -> dict[str, Any]:
         out["card"] = card(step, diagnosis.first.signatures, frozenset(diagnosis.ids), steps)
     out["sentence"] = sentence(out, step, proof, term)
     return out
+
+
+def _larger(unit: str, grown: float) -> float:
+    """By how much a strength in electrons was taken for too large where the gain has grown."""
+    return grown if unit.startswith("e-") else 1.0
 
 
 def _unit(score: Score) -> str:

@@ -24,6 +24,18 @@ _SURE = 3.0
 """Standard errors of the mean gain of the sites from which on noise counts as growing with the light."""
 
 
+def grown_gain(diagnosis: Diagnosis) -> float:
+    """The gain beside the findings over that of the fitted baseline, at which strengths in electrons were
+    measured."""
+    model = diagnosis.model
+    fitted = np.array([b.gain for b in diagnosis.first.baselines])
+    numbers = [diagnosis.first.isos[b.iso] for b in diagnosis.first.baselines]
+    at = [int(np.argmin(np.abs(np.asarray(model.iso) - number))) for number in numbers]
+    if not (fitted > 0).all():
+        return 1.0
+    return float(np.mean(np.asarray(model.gain_dn_per_e)[at] / fitted))
+
+
 def baseline(diagnosis: Result) -> list[dict[str, Any]]:
     """Gain (DN/e-), read noise (e-) and black level (DN) by mosaic site, of the simulator that is handed
     back, for every ISO that it has, and by how much the darks of each exposure lie beyond that and what was

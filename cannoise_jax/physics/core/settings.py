@@ -107,6 +107,17 @@ class Fitted:
         return self.record.id
 
 
+def of_larger_gain(fitted: Fitted, grown: float) -> Fitted:
+    """The mechanism beside a gain `grown` times as large: what is in electrons stays as it is in DN."""
+    named = {p.name for p in fitted.record.parameters if p.unit.startswith("e-")}
+
+    def less(value: Any) -> Any:
+        return IsoTable(value.iso, value.value / grown) if isinstance(value, IsoTable) else value / grown
+
+    changed = {name: less(v) if name in named else v for name, v in fitted.parameters.items()}
+    return dataclasses.replace(fitted, parameters=changed)
+
+
 def chain_order(fitted: tuple[Fitted, ...]) -> tuple[Fitted, ...]:
     """Fitted mechanisms in the order of the signal chain; equals keep their order."""
     return tuple(sorted(fitted, key=lambda f: registry.chain_position(f.record)))

@@ -23,7 +23,7 @@ from scipy import special, stats
 from cannoise_jax.physics.core.chain import mechanism_key
 from cannoise_jax.physics.core.poisson_gaussian import sample_normal
 from cannoise_jax.physics.core.sensor import Fitted, SensorModel, Settings
-from cannoise_jax.physics.core.settings import black_levels, with_black_levels
+from cannoise_jax.physics.core.settings import black_levels, of_larger_gain, with_black_levels
 from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.estimate import NotMeasurable, root
 from cannoise_jax.physics.transfer.estimator import Estimator
@@ -191,15 +191,8 @@ def without_repetition(
         model,
         gain_dn_per_e=gain.astype(np.float32),
         read_noise_e=(read / gain).astype(np.float32),
-        mechanisms=tuple(_in_electrons(fitted, 1 / grown) for fitted in model.mechanisms),
+        mechanisms=tuple(of_larger_gain(fitted, grown) for fitted in model.mechanisms),
     )
-
-
-def _in_electrons(fitted: Fitted, factor: float) -> Fitted:
-    """The mechanism with its parameters in electrons multiplied."""
-    named = {p.name for p in fitted.record.parameters if p.unit.startswith("e-")}
-    changed = {name: v * factor if name in named else v for name, v in fitted.parameters.items()}
-    return dataclasses.replace(fitted, parameters=changed)
 
 
 def shrunk(
