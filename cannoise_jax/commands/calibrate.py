@@ -189,8 +189,9 @@ def calibrate(
 
     own = measurable(own)
     check_draws(own, capture.recordings[0].size)
-    transfers, _ = _photon_transfers(capture)
-    return transfers, _mechanisms_of(transfers, own)
+    with current().stages():
+        transfers, _ = _photon_transfers(capture)
+        return transfers, _mechanisms_of(transfers, own)
 
 
 def _photon_transfers(capture: CaptureSet) -> tuple[tuple[PhotonTransfer, ...], tuple[str, ...]]:

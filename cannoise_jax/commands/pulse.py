@@ -49,6 +49,15 @@ class Pulse:
         if words in self._doing:
             self._doing.remove(words)
 
+    @contextmanager
+    def stages(self) -> Iterator[None]:
+        """After it the command is at what it was at before, whatever was said within."""
+        before = list(self._doing)
+        try:
+            yield
+        finally:
+            self._doing[:] = before
+
     def words(self) -> str:
         """What the command is at now."""
         return self._doing[-1]()

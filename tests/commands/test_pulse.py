@@ -55,6 +55,16 @@ def test_what_is_being_done_is_said_at_the_end_of_every_silence():
     assert said == [*(f"[{t:6.1f} s] at {t}" for t in (5, 10, 15, 20)), "[  25.0 s] at the first"]
 
 
+def test_stages_of_a_part_are_over_with_it():
+    _, _, pulse, _ = made(False)
+    before = pulse.words()
+    with pulse.stages():
+        pulse.at(lambda: "photon transfer")
+        pulse.at(lambda: "mechanisms")
+        assert pulse.words() == "mechanisms"
+    assert pulse.words() == before
+
+
 def test_a_line_that_was_begun_is_not_run_into():
     now, screen, pulse, stream = made(False)
     print("begun", end="", file=stream)
