@@ -156,7 +156,7 @@ ENTRIES: tuple[Entry, ...] = (
         IMAGE_LAG,
         needs="a burst with a change from bright to dark",
         signatures=lambda recorded: (
-            looks.memory.lag(recorded, name="lag_in_time", covers=(), lifted_by=imprints.LAG),
+            looks.memory.lag(recorded, name="lag_in_time", before=looks.SLOW, lifted_by=imprints.LAG),
         ),
         examples=Examples("temporal", shown={"fraction": 0.15}, strong={"fraction": 0.2}),
     ),

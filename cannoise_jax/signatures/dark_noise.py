@@ -48,7 +48,7 @@ _FEWEST = 100
 def _of_blocks(field: Fields) -> tuple[np.ndarray, np.ndarray] | None:
     """Variance (DN^2) and level (DN) of every block, medians over its pixels; None where one has too few."""
     n = len(field.contrasts)
-    power = np.einsum("nij,nij->ij", field.contrasts, field.contrasts) / n * field.sigma**2
+    power = np.einsum("nij,nij->ij", field.contrasts, field.contrasts) / n * (field.sigma * field.louder) ** 2
     power = power * (n / stats.chi2.median(n))
     assert field.static is not None
     level = field.mean + field.static * field.sigma / np.float32(np.sqrt(field.frames))
@@ -137,7 +137,7 @@ def beside_level(recorded: Recorded, *, name: str, rate: str, share: str) -> tup
         Signature(
             name=name,
             axes=Axes("pixel", "pixel", "redrawn", "exposure", "poisson"),
-            reads=frozenset({"mean", "sigma", "contrasts", "static", "usable"}),
+            reads=frozenset({"mean", "sigma", "louder", "contrasts", "static", "usable"}),
             score=excess_score,
             absorb=unchanged,
             covers=COVERS_NOTHING,

@@ -134,13 +134,12 @@ def _fraction(correlation: float) -> float:
 
 
 def in_order(fields: tuple[Fields, ...], score: Score, *, times: dict[int, list[int]]) -> tuple[Fields, ...]:
-    """Lit fields whose contrasts are whitened over successive frames, and in whose mean frames that remember
-    each other count for fewer. The first frame, which remembers others than these, tells nothing of the
-    light."""
+    """Fields whose contrasts are whitened over successive frames, and in whose mean frames that remember each
+    other count for fewer. The first frame, which remembers others than these, tells nothing of the light."""
     out = []
     for f in fields:
         order = times.get(f.number, [])[: f.frames]
-        if not f.lit or f.frames < 3 or len(order) != f.frames:
+        if f.frames < 3 or len(order) != f.frames:
             out.append(f)
             continue
         contrast = helmert(f.frames)
@@ -148,15 +147,17 @@ def in_order(fields: tuple[Fields, ...], score: Score, *, times: dict[int, list[
         rho = score.where["correlation"] * float(np.mean(f.shot[f.usable])) if f.usable.any() else 0.0
         law = contrast @ (np.eye(f.frames) + rho * successive) @ contrast.T
         values, vectors = np.linalg.eigh(law)
-        root = (vectors / np.sqrt(np.maximum(values, 0.05))) @ vectors.T
+        # The noise of the contrasts is what it was: of frames that are alike more than they show of it.
+        alone = len(law) / np.trace(law)
+        root = (vectors / np.sqrt(alone * np.maximum(values, 0.05))) @ vectors.T
         inner = np.einsum("mn,nij->mij", root, f.contrasts[: f.frames - 1]).astype(np.float32)
-        if 0 in order:
-            inner = _without_light(f, inner, root @ contrast[:, order.index(0)])
-        # Either these frames or those before hold the first.
-        last = _without_light(f, f.contrasts[f.frames - 1 :], np.ones(len(f.contrasts) - len(inner)))
+        last = f.contrasts[f.frames - 1 :]
+        if f.lit:  # either these frames or those before hold the first
+            inner = _without_light(f, inner, root @ contrast[:, order.index(0)]) if 0 in order else inner
+            last = _without_light(f, last, np.ones(len(last)))
         contrasts = np.concatenate([inner, last])
         # Noise of a mean of such frames, which sigma stands for; contrasts keep their unit.
-        more = np.float32(np.sqrt(1 + rho * successive.sum() / f.frames))
+        more = np.float32(np.sqrt(alone * (1 + rho * successive.sum() / f.frames)))
         static = None if f.static is None else f.static / more
         out.append(
             f._replace(contrasts=contrasts, static=static, sigma=f.sigma * more, louder=f.louder / more)
@@ -173,8 +174,8 @@ def _without_light(field: Fields, c: np.ndarray, of: Float[np.ndarray, "n"]) -> 
     return (c - (share * along)[:, None, None] * field.relative).astype(np.float32)
 
 
-def lag(recorded: Recorded, *, name: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]) -> Signature:
-    """What a frame keeps of the frame before it."""
+def lag(recorded: Recorded, *, name: str, before: tuple[str, ...], lifted_by: tuple[str, ...]) -> Signature:
+    """What a frame keeps of the frame before it. before: signatures of what stays, whose noise it changes."""
     return plain(
         name=name,
         axes=Axes("pixel", "pixel", "redrawn", "signal", "lag in time"),
@@ -182,6 +183,7 @@ def lag(recorded: Recorded, *, name: str, covers: tuple[str, ...], lifted_by: tu
         score=partial(lag_score, times=recorded.times),
         absorb=partial(in_order, times=recorded.times),
         simulate=carried(lambda s: {"fraction": s.amplitude}),
-        covers=covers,
+        covers=(),
+        before=lambda score: before,
         lifted_by=lifted_by,
     )

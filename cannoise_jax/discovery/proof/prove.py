@@ -213,7 +213,7 @@ def prove(
         if together is not None and signature is not None and signature.redraws_frames:
             out[-1] = _of_every_frame(out[-1], signature.score(together(n)))
     if together is not None:
-        out = _maps_beside(steps, out, again(len(steps)), together(len(steps)))
+        out = _maps_beside(steps, out, *(split(len(steps)) for split in (looking, again, together)))
     complete = len(known) == len(steps)
     return Proofs(
         tuple(out),
@@ -229,21 +229,19 @@ def _of_every_frame(proof: Proof, whole: Score | None) -> Proof:
     return proof._replace(score=whole)
 
 
-def _maps_beside(
-    steps: tuple[Step, ...], proofs: list[Proof], held: tuple[Fields, ...], both: tuple[Fields, ...]
-) -> list[Proof]:
-    """The proofs with the strengths of maps beside all other maps, on the frames held back and on all."""
+def _maps_beside(steps: tuple[Step, ...], proofs: list[Proof], *splits: tuple[Fields, ...]) -> list[Proof]:
+    """The proofs with the strengths of maps beside all other maps. splits: the frames that looked, those held
+    back, and all, with all findings taken out."""
     out = list(proofs)
-    for n, (step, there, whole) in enumerate(
-        zip(steps, beside_others(steps, held), beside_others(steps, both), strict=True)
-    ):
+    beside = (beside_others(steps, fields) for fields in splits)
+    for n, (step, looked, there, whole) in enumerate(zip(steps, *beside, strict=True)):
         score = proofs[n].score
         if score is not None and step.named.signature.map_of and step.left:
             again, every = there.named.score, whole.named.score
             again = score.replace(
                 amplitude=again.amplitude, error=again.error, shift=again.shift, parameters=again.parameters
             )
-            out[n] = proofs[n]._replace(score=strength_beyond(step.named.score, every, again))
+            out[n] = proofs[n]._replace(score=strength_beyond(looked.named.score, every, again))
     return out
 
 
