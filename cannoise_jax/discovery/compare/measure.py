@@ -206,7 +206,8 @@ def _unit(
     together, apart = bank.product_statistics(bank.products(alone, share))
     moments = bank.hermite(own, kept)
     moments[0] = bank.maps((z * z - 1) * kept, kept)
-    far = z if coarse else own
+    # What a whole frame is off by is the energies' as well: it moves values over one limit, from the other.
+    far = z if coarse else own - kept * np.float32(own.sum() / max(float(kept.sum()), 1.0))
     return {
         STRUCTURE: bank.energies(z, share).ravel(),
         NEIGHBOURS: together,
