@@ -23,6 +23,8 @@ _OF_MEDIAN = 0.6
 """What the median of a mean square is worth of its mean."""
 _BESIDE = 8
 """Columns, or rows, of one colour on either side of the middle that tell a step there."""
+_DEGREE = 4
+"""Of the polynomial that the light along a side is taken for, so that its slope is no step."""
 _STEP, _OTHERS = 0.01, 8.0
 """Of the light, the step from which two halves have gains of their own, and times the usual step elsewhere:
 light is smooth, and columns differ all over the frame."""
@@ -74,12 +76,16 @@ def _middle_step(profile: Float[np.ndarray, "n"]) -> float:
     beside = min(_BESIDE, len(profile) // 6)
     if beside < 3:
         return 0.0
-    sums = np.convolve(profile, np.ones(beside) / beside, "valid")
+    place = np.linspace(-1, 1, len(profile))
+    upper = (np.arange(len(profile)) >= len(profile) // 2)[:, None]
+    terms = np.concatenate([np.polynomial.legendre.legvander(place, _DEGREE), upper], 1)
+    found = np.linalg.lstsq(terms, profile, rcond=None)[0]
+    # What is left is of the step, and of light that is no polynomial, which does not step in a few columns.
+    sums = np.convolve(profile - terms[:, :-1] @ found[:-1], np.ones(beside) / beside, "valid")
     steps = sums[beside:] - sums[:-beside]
-    # Light that leans makes a slope: the median step, which is taken out.
     at = len(profile) // 2 - beside
-    step = float(steps[at] - np.median(steps))
+    step = float(steps[at])
     away = np.abs(np.arange(len(steps)) - at) >= beside
-    usual = float(np.median(np.abs(steps[away] - np.median(steps[away]))))
+    usual = float(np.median(np.abs(steps[away])))
     share = step / max(float(np.median(profile)), 1e-9)
     return share if abs(share) > _STEP and abs(step) > _OTHERS * usual else 0.0
