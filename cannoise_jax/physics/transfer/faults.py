@@ -10,6 +10,7 @@ import numpy as np
 from cannoise_jax.physics.transfer.black import flat_seconds, reference_dark, stand_in
 from cannoise_jax.physics.transfer.defects import defects_line, shadows_line, spots_line
 from cannoise_jax.physics.transfer.estimate import NotMeasurable
+from cannoise_jax.physics.transfer.estimators.own_charge import holds_charge
 from cannoise_jax.physics.transfer.estimators.pick import brightest_flat
 from cannoise_jax.physics.transfer.fit import Line
 from cannoise_jax.physics.transfer.frames import FrameStatistics
@@ -25,6 +26,8 @@ from cannoise_jax.recordings.recording import DARK
 
 _LONGER, _LONG_S = 10.0, 1.0
 """Times the exposure of flats, and seconds, from which dark charge may matter in darks and not in flats."""
+_TOLD = 3
+"""Exposures of darks from which on dark current, and what the shortest hold of it, is told."""
 
 _MOST = 0.3
 """Share of the pixels of a dark which reach the white level, where that cannot be the right one."""
@@ -123,7 +126,19 @@ def _longer(statistics: Sequence[FrameStatistics]) -> str:
             f"flats of {own:g} s are measured above darks of {dark:g} s, whose dark charge counts as that of "
             f"the flats: where it matters record darks of {own:g} s"
         )
-    # Of several exposures the dark current is told.
+    # Of three exposures the dark current is told.
+    reference = reference_dark(statistics)
+    if (
+        reference is not None
+        and None not in seconds
+        and len(set(seconds)) < _TOLD
+        and holds_charge(reference)
+    ):
+        own = reference.recording.exposure_s
+        return (
+            f"the darks of {own:g} s hold dark charge: read noise and black level are with it and its shot "
+            "noise: record biases, or darks of three exposures or more"
+        )
     if flat is None or len(set(seconds)) != 1 or not known or known[0] < max(_LONGER * flat, _LONG_S):
         return ""
     return (

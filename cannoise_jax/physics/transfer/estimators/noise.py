@@ -22,7 +22,7 @@ from cannoise_jax.physics.transfer.estimators.pick import (
     repeated_darks,
 )
 from cannoise_jax.physics.transfer.fit import robust_mean_square
-from cannoise_jax.physics.transfer.frames import FrameStatistics
+from cannoise_jax.physics.transfer.frames import FrameStatistics, steady_frames
 from cannoise_jax.physics.transfer.photon_transfer import channel_lines
 from cannoise_jax.physics.transfer.quiet import TOO_FEW_CODES, coarse
 from cannoise_jax.physics.transfer.regions import uneven_noise
@@ -33,6 +33,12 @@ from cannoise_jax.recordings.packing import site
 
 _ASSUMED = NotMeasurable("give the baseline that is assumed: shot and read coefficients of the recording")
 _FEWEST = 100.0  # counts of a class of codes in the tails
+_FEWEST_FRAMES = 4
+"""Of one pixel, that tell a kurtosis."""
+_SHOWN = 0.5
+"""Of the tails of all values, the least that single pixels have to show: whether none or all is nearer."""
+_DRAWN = 100_000
+"""Pixels drawn for the kurtosis that few frames show: to 0.01."""
 
 
 def gain_error(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
@@ -100,9 +106,44 @@ def heavy_tails(statistics: Sequence[FrameStatistics], baseline=None) -> Estimat
 
 
 def no_heavier(tails: Mapping[str, Estimate], statistics: Sequence[FrameStatistics]) -> str:
-    """What speaks against heavy tails: a shape on the light side of a Gaussian."""
-    light = next(iter(tails.values())).value > tukey_lambda.GAUSSIAN
-    return "(no heavier than a Gaussian)" if light else ""
+    """What speaks against heavy tails: a shape on the light side of a Gaussian, or single pixels whose frames
+    show hardly half of them. Levels and dark charge of their own, and codes that lie unevenly, make tails of
+    the values of all that those of one pixel have not."""
+    shape, dark = next(iter(tails.values())).value, darkest(statistics)
+    if shape > tukey_lambda.GAUSSIAN:
+        return "(no heavier than a Gaussian)"
+    if dark is None or dark.recording.count < _FEWEST_FRAMES:
+        return ""
+    least = _SHOWN * _own_kurtosis_of(shape, dark.recording.count)
+    said = "(not within single pixels: levels and charge of their own, or their codes, make such tails)"
+    return said if own_kurtosis(dark) < least else ""
+
+
+def own_kurtosis(dark: FrameStatistics) -> float:
+    """Excess kurtosis of the frames of one pixel, the mean over all: G2, which for Gaussian noise is 0 on
+    average whatever level and noise a pixel has (Joanes and Gill, The Statistician 47, 183, 1998)."""
+    second, fourth = np.zeros(dark.mean.shape), np.zeros(dark.mean.shape)
+    for frame in steady_frames(dark):
+        square = (frame - dark.mean) ** 2
+        second += square
+        fourth += square**2
+    keep = ~dark.clipped & (second > 0)
+    return _mean_g2(second[keep], fourth[keep], dark.recording.count) if keep.any() else 0.0
+
+
+def _mean_g2(second: Float[np.ndarray, "n"], fourth: Float[np.ndarray, "n"], count: int) -> float:
+    """The mean of G2 over pixels. second, fourth: sums over their frames of powers of what those differ by
+    from the mean."""
+    plain = float(np.mean(count * fourth / second**2)) - 3
+    return (count - 1) / ((count - 2) * (count - 3)) * ((count + 1) * plain + 6)
+
+
+def _own_kurtosis_of(shape: float, count: int) -> float:
+    """The same of so many frames of noise of Tukey's lambda, which of few frames is far less than of many."""
+    chances = np.random.default_rng(0).random((count, _DRAWN))
+    values = (chances**shape - (1 - chances) ** shape) / shape if shape else special.logit(chances)
+    square = (values - values.mean(0)) ** 2
+    return _mean_g2(square.sum(0), np.square(square).sum(0), count)
 
 
 def _weighted(found: list[Estimate]) -> Estimate:
