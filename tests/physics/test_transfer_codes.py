@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from cannoise_jax.mechanisms import MECHANISMS
+from cannoise_jax.physics.core import tukey_lambda
 from cannoise_jax.physics.transfer.ends import rails
 from cannoise_jax.physics.transfer.estimate import NotMeasurable
+from cannoise_jax.physics.transfer.estimators.noise import heavy_tails
 from cannoise_jax.physics.transfer.frames import frame_statistics
 from cannoise_jax.physics.transfer.photon_transfer import of_all_pixels, transfer_at
 from cannoise_jax.recordings.recording import Recording
@@ -91,3 +93,18 @@ def test_rounding_to_codes_that_a_gain_put_apart_is_no_read_noise():
     )
     assert transfer.baseline.read_noise[0] == pytest.approx(1.25 * gain, rel=0.01)
     assert transfer.baseline.gain[0] == pytest.approx(gain / 4, rel=0.02)
+
+
+@pytest.mark.parametrize("factor", (1.1, 1.37, 1.7))
+@pytest.mark.parametrize("tailed", (False, True), ids=["gaussian", "tailed"])
+def test_codes_that_a_digital_gain_put_apart_have_the_tails_of_those_before(factor, tailed):
+    rng = np.random.default_rng(4)
+    shape = (8, 96, 128)
+    noise = rng.standard_t(6, shape) / np.sqrt(1.5) if tailed else rng.standard_normal(shape)
+    codes = np.floor(np.rint(2.8 * noise) * factor + 0.5) + 500
+    taken = Recording(codes.astype(np.uint16), "MONO", (500.0,) * 4, 65535.0, "c", "bias")
+    found = heavy_tails([frame_statistics(taken)])["tukey_lambda"]
+    if tailed:
+        assert found.value < tukey_lambda.GAUSSIAN - 0.1
+    else:
+        assert found.value == pytest.approx(tukey_lambda.GAUSSIAN, abs=3.5 * found.stderr)
