@@ -21,7 +21,7 @@ from cannoise_jax.physics.transfer.estimate import (
 from cannoise_jax.physics.transfer.estimators.charge import grown
 from cannoise_jax.physics.transfer.estimators.dark_map import HOT, DarkMap
 from cannoise_jax.physics.transfer.estimators.light_alone import LightAlone, light_alone
-from cannoise_jax.physics.transfer.estimators.own_charge import expected_logs, halves_of
+from cannoise_jax.physics.transfer.estimators.own_charge import expected_logs, halves_of, holds_charge
 from cannoise_jax.physics.transfer.estimators.pick import (
     brightest_flat,
     darkest,
@@ -46,9 +46,6 @@ _NARROWEST = 8
 """Columns: the mean of a row of two pixels of a colour takes all that tells one from the other."""
 _COLUMNS = 16
 """Smooth shading alone takes ten of them."""
-_SURE = 3.3
-"""Standard errors from which on the variance of pixels goes with their level: below, what it adds to a spread
-is far within the error of that."""
 _NO_PIXELS = NotMeasurable("nearly all pixels jump or are warm: record shorter darks, or a larger frame")
 
 
@@ -177,7 +174,7 @@ def pixel_read_noise_map(
     rounding = dark.code_step**2 / 12
     pairs = halves_of(dark)
     least = max(rounding, 1e-6) / 4
-    charged = baseline is not None and dark.recording.kind != "bias"
+    charged = baseline is not None and holds_charge(dark, pairs)
     products, shots, means = [], [], []
     odd = dark.clipped | odd_by_charge(dark, None if baseline is None else baseline.gain)
     for c in range(4):
@@ -199,8 +196,8 @@ def pixel_read_noise_map(
             both = [a * n + b * m for (a, b), (m, n) in zip(logs, own, strict=True)]
             shots.append(sum(both) / (2 * len(both)))
     values = np.concatenate(products)
-    if charged and (shot := np.concatenate(shots)).mean() > _SURE * shot.std() / np.sqrt(shot.size):
-        values = values - shot
+    if charged:
+        values = values - np.concatenate(shots)
     square = normal_estimate(float(values.mean()), float(values.std() / np.sqrt(values.size)))
     width = root(square.scaled(0.25))
     row, mean = 1 / (dark.recording.size[1] // 2), float(np.mean(means))

@@ -68,12 +68,13 @@ def expected_logs(
     return np.log(np.maximum(variance + gain * apart, _LEAST * variance))
 
 
-def holds_charge(dark: FrameStatistics) -> bool:
+def holds_charge(dark: FrameStatistics, pairs: list[tuple[Half, Half]] | None = None) -> bool:
     """Whether the pixels of a dark that lie higher are noisier, by as much as matters: it holds charge. A
-    bias has none, and fewer than four frames do not tell."""
+    bias has none, and fewer than four frames do not tell. pairs: its `halves_of`, where they are at hand."""
     if dark.recording.kind == "bias" or dark.variance is None or dark.recording.count < 4:
         return False
-    pairs, values, levels, usual = halves_of(dark), [], [], []
+    pairs = halves_of(dark) if pairs is None else pairs
+    values, levels, usual = [], [], []
     for c in range(4):
         level = site(dark.mean, c)
         keep = steady_pixels(dark, c)
