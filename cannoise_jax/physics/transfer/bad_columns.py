@@ -20,8 +20,8 @@ _BLOCK = 8
 _ABOUT = 9
 """Columns of one site whose median is the level about one: as wide as what shading leaves alike."""
 _FAR = 12.0
-"""Robust standard deviations of all columns: of a normal law none lies as far out, nor does one of the cameras
-tried."""
+"""Robust standard deviations of all columns: of a normal law none lies as far out, nor does one of any camera
+that was tried."""
 _LEAST_BLOCKS, _LEAST_PART = 3, 0.25
 """Length of a defect, in blocks, and of the height: that of dust is less."""
 _WIDEST = 2
