@@ -22,6 +22,9 @@ _ABOUT = 9
 _FAR = 12.0
 """Robust standard deviations of all columns: of a normal law none lies as far out, nor does one of any camera
 that was tried."""
+_EDGE = 0.5
+"""Of how far a column lies from both sides, by which these differ at most: at the edge of a shadow, or of a
+part without light, they differ by more."""
 _LEAST_BLOCKS, _LEAST_PART = 3, 0.25
 """Length of a defect, in blocks, and of the height: that of dust is less."""
 _WIDEST = 2
@@ -46,9 +49,11 @@ def bad_columns(
             continue
         edges = np.linspace(0, height, count + 1).astype(int)
         level = np.stack([np.median(values[a:b], axis=0) for a, b in zip(edges[:-1], edges[1:], strict=True)])
-        about = _about(level)
+        left, right = _beside(level)
+        about = (left + right) / 2
         apart = level - about
         odd = np.abs(apart) > max(_FAR * robust_std(apart, 0.0), noise)
+        odd &= np.abs(left - right) < _EDGE * np.abs(apart)
         if black is not None:
             odd &= level - black[c] > _DEAD * (about - black[c])
         odd &= ~ndimage.binary_opening(odd, np.ones((1, _WIDEST + 1), bool))
@@ -60,13 +65,13 @@ def bad_columns(
     return out if out.mean() <= _MOST else np.zeros(mean.shape, bool)
 
 
-def _about(level: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """The median of the columns about each, itself left out; of the first and the last ones a straight line
-    stands for those beyond."""
+def _beside(level: Float[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
+    """The medians of the columns to the left and to the right of each; for those beyond the first and the
+    last one a straight line stands."""
     half = _ABOUT // 2
     wide = np.pad(level, ((0, 0), (half, half)), mode="reflect", reflect_type="odd")
-    windows = np.lib.stride_tricks.sliding_window_view(wide, _ABOUT, axis=1)
-    return np.median(np.delete(windows, half, axis=-1), axis=-1)
+    sides = np.median(np.lib.stride_tricks.sliding_window_view(wide, half, axis=1), axis=-1)
+    return sides[:, : level.shape[1]], sides[:, half + 1 :]
 
 
 def line_means_without(

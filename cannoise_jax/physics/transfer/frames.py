@@ -25,7 +25,7 @@ from cannoise_jax.physics.transfer.bad_columns import bad_columns, line_means_wi
 from cannoise_jax.physics.transfer.ends import Extremes, lowest_share, rails, stuck_pixels, without_stuck
 from cannoise_jax.physics.transfer.hits import Hits, without_hits
 from cannoise_jax.physics.transfer.spots import without_spots
-from cannoise_jax.recordings.codes import code_histograms, code_lattice
+from cannoise_jax.recordings.codes import Spacing, code_histograms, code_lattice, spacing_of
 from cannoise_jax.recordings.metadata import chunks
 from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import PerChannel, Recording, per_channel
@@ -51,6 +51,7 @@ class FrameStatistics:
     stuck: pixels at an end of the codes in every frame, far from the level of the others (`ends`), and those
       of bad columns, among `clipped`; no means but `mean` hold them. None where there are none.
     bad: those of bad columns alone (`bad_columns`).
+    spacing: how far apart the codes lie along their range; None where too few values tell.
     hits: particle hits of repeated darks, which `recording` is without; None for what is none.
     spots: pixels of a flat over which stars or the like move (`spots`), among `clipped`; None for none.
     unlit: parts of a flat that no light reaches (see `unlit`), among `clipped`; dead: parts of a dark that
@@ -87,6 +88,7 @@ class FrameStatistics:
     shot: Float[np.ndarray, "H W"] | None = None
     stuck: Bool[np.ndarray, "H W"] | None = None
     bad: Bool[np.ndarray, "H W"] | None = None
+    spacing: Spacing | None = None
 
 
 def steady_frames(s: FrameStatistics) -> Iterator[Float[np.ndarray, "H W"]]:
@@ -199,7 +201,7 @@ def frame_statistics(recording: Recording) -> FrameStatistics:
         recording, mean, variance, total, dof, relative, frame_means, rows, columns,
         level, float(step), per_channel(np.array(low)), per_channel(np.array(high)),
         per_channel(np.array(lowest)), clipped, hits, stuck=stuck if stuck.any() else None,
-        bad=bad if bad.any() else None,
+        bad=bad if bad.any() else None, spacing=spacing_of(histograms.sum(0)),
     )  # fmt: skip
     if not relative or variance is None:
         return found

@@ -74,7 +74,8 @@ def noise_below_a_code(dark: FrameStatistics, step: float, c: int) -> QuietNoise
     if (at_two := _at_two_codes(dark, step, c)) is not None:
         top, level = at_two
         return QuietNoise(Estimate(0.5 * top, top / np.sqrt(12), (0.0, top)), square, level)
-    mean, spread = level_and_spread(site(dark.mean, c), square, dark.recording.count, step)
+    origin = _origin(dark, step)
+    mean, spread = level_and_spread(site(dark.mean, c) - origin, square, dark.recording.count, step)
     found = [
         before_rounding(mean, max(v, 1e-6 * step**2), step, spread)
         for v in (square, square - stderr, square + stderr)
@@ -82,7 +83,15 @@ def noise_below_a_code(dark: FrameStatistics, step: float, c: int) -> QuietNoise
     level, read = (
         normal_estimate(value, 0.5 * abs(high - low)) for value, low, high in zip(*found, strict=True)
     )
-    return QuietNoise(read, square, level)
+    return QuietNoise(read, square, level.shifted(origin))
+
+
+def _origin(dark: FrameStatistics, step: float) -> float:
+    """How far above a multiple of their spacing the codes of a dark lie, DN: those of a table anywhere."""
+    if dark.spacing is None or step <= 1:
+        return 0.0
+    codes = dark.spacing.codes
+    return float(codes[np.argmin(np.abs(codes - np.median(dark.mean)))] % step)
 
 
 def with_rounding_told(s: FrameStatistics) -> FrameStatistics:
