@@ -128,18 +128,12 @@ def _longer(statistics: Sequence[FrameStatistics]) -> str:
             f"flats of {own:g} s are measured above darks of {dark:g} s, whose dark charge counts as that of "
             f"the flats: where it matters record darks of {own:g} s"
         )
-    # Of three exposures the dark current is told.
     reference = reference_dark(statistics)
-    if (
-        reference is not None
-        and None not in seconds
-        and len(set(seconds)) < _TOLD
-        and holds_charge(reference)
-    ):
-        own = reference.recording.exposure_s
+    timed = None not in seconds and len(set(seconds)) < _TOLD
+    if reference is not None and timed and holds_charge(reference):
         return (
-            f"the darks of {own:g} s hold dark charge: read noise and black level are with it and its shot "
-            "noise: record biases, or darks of three exposures or more"
+            f"the darks of {reference.recording.exposure_s:g} s hold dark charge: read noise and black level are "
+            "with it and its shot noise: record biases, or darks of three exposures or more"
         )
     if flat is None or len(set(seconds)) != 1 or not known or known[0] < max(_LONGER * flat, _LONG_S):
         return ""

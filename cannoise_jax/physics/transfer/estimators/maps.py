@@ -189,11 +189,11 @@ def pixel_read_noise_map(
         products.append(sum(a * b for a, b in logs) / len(logs))
         if charged:
             gain = float(baseline.gain[c])
-            own = [
+            shot_logs = [
                 [_within_lines(expected_logs(site(h.mean, c), keep, means[-1], gain), keep) for h in p]
                 for p in pairs
             ]
-            both = [a * n + b * m for (a, b), (m, n) in zip(logs, own, strict=True)]
+            both = [a * n + b * m for (a, b), (m, n) in zip(logs, shot_logs, strict=True)]
             shots.append(sum(both) / (2 * len(both)))
     values = np.concatenate(products)
     if charged:
