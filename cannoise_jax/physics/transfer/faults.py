@@ -132,8 +132,8 @@ def _longer(statistics: Sequence[FrameStatistics]) -> str:
     timed = None not in seconds and len(set(seconds)) < _TOLD
     if reference is not None and timed and holds_charge(reference):
         return (
-            f"the darks of {reference.recording.exposure_s:g} s hold dark charge: read noise and black level are "
-            "with it and its shot noise: record biases, or darks of three exposures or more"
+            f"the darks of {reference.recording.exposure_s:g} s hold dark charge: read noise and black level "
+            "are with it and its shot noise: record biases, or darks of three exposures or more"
         )
     if flat is None or len(set(seconds)) != 1 or not known or known[0] < max(_LONGER * flat, _LONG_S):
         return ""
