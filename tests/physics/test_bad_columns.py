@@ -17,7 +17,7 @@ SIZE, GAIN, READ_E, BLACK, PRNU = (96, 128), 0.8, 3.5, 500.0, 0.006
 HOT, WEAK, HALF = 100, 40, 77
 
 
-def statistics(bad: bool, fixed: float = 0.0, gains: float = 0.0, seed: int = 1):
+def statistics(bad: bool, fixed: float = 0.0, gains: float = 0.0, seed: int = 1, dead: tuple = ()):
     """Flats of two levels in vignetted light and biases. bad: with one column 300 DN higher, one of 30 % and
     half a column of 50 % of the light; fixed, gains: of Gaussian populations of columns, DN and relative."""
     rng = np.random.default_rng(seed)
@@ -29,6 +29,8 @@ def statistics(bad: bool, fixed: float = 0.0, gains: float = 0.0, seed: int = 1)
         offsets[:, HOT] += 300
         response[:, WEAK] *= 0.3
         response[50:, HALF] *= 0.5
+    if dead:
+        response[dead] = 0
     out = []
     for kind, light, frames in (("flat", 15000.0, 6), ("flat", 7000.0, 6), ("bias", 0.0, 8)):
         charge = rng.poisson(light * response, (frames, *SIZE)) + READ_E * rng.standard_normal(
@@ -67,6 +69,13 @@ def test_bad_columns_are_named_with_what_they_are():
     assert "41 (30 % of the light)" in said and "101 (+300 DN in the darks)" in said
     assert "78 (50 % of the light, rows" in said and "to 96)" in said
     assert faults(statistics(bad=False)).columns == ""
+
+
+def test_a_dead_pixel_of_a_bad_column_is_dead():
+    stats = statistics(bad=True, dead=(20, HOT))
+    found = MECHANISMS["dead_pixels"].estimator(stats, None)
+    assert found["fraction"].value == pytest.approx(1 / (SIZE[0] * SIZE[1]))
+    assert "1 (0.0081 %) do not answer light" in faults(stats).defects
 
 
 def test_columns_of_a_population_are_none_of_them():

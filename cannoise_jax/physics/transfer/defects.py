@@ -15,6 +15,7 @@ from cannoise_jax.physics.transfer.estimators.pick import brightest_flat
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.response import response_of
 from cannoise_jax.physics.transfer.unlit import lines_of
+from cannoise_jax.physics.transfer.views import at_an_end
 from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import DARK
 
@@ -119,10 +120,7 @@ def spots_line(statistics: Sequence[FrameStatistics]) -> str:
 
 def _stuck(s: FrameStatistics, side: int) -> Bool[np.ndarray, "H W"]:
     """Pixels that are stuck above (1) or below (-1) the level."""
-    if s.stuck is None:
-        return np.zeros(s.mean.shape, bool)
-    stuck = s.stuck if s.bad is None else s.stuck & ~s.bad
-    return stuck & (side * (s.mean - float(np.median(s.mean))) > 0)
+    return at_an_end(s) & (side * (s.mean - float(np.median(s.mean))) > 0)
 
 
 def _always(masks: Sequence[Bool[np.ndarray, "H W"]]) -> Bool[np.ndarray, "H W"] | None:
