@@ -205,7 +205,7 @@ def frame_statistics(recording: Recording) -> FrameStatistics:
     )  # fmt: skip
     if not relative or variance is None:
         return found
-    average = sum(steady_frames(found)) / recording.count
+    average = np.asarray(sum(steady_frames(found))) / recording.count
     spots = without_spots(recording, steady_frames(found), average, variance)
     if spots is None:
         return found
