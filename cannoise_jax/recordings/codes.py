@@ -19,7 +19,7 @@ from __future__ import annotations
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from cannoise_jax.recordings.metadata import chunks
 from cannoise_jax.recordings.packing import SITES
@@ -31,6 +31,21 @@ _FEW_GAPS = 10
 """Gaps from which on fewer than two windows tell: of sparse signal ten are hardly ever alike."""
 _REGULAR = 0.35
 """Standard deviation of gaps over their mean up to which they are those of a table or a gain."""
+_CROWDED = 50.0
+"""Values a code from which gaps beside it are none of sparse light."""
+_TAIL = 0.01
+"""Share of the values on either side that is left out where spacings are told: codes there are sparse."""
+
+
+class Spacing(NamedTuple):
+    """Where the codes of a recording lie, DN, and how wide the cell of each is."""
+
+    codes: Float[np.ndarray, "n"]
+    cells: Float[np.ndarray, "n"]
+
+    def at(self, level: Float[np.ndarray, "*s"]) -> Float[np.ndarray, "*s"]:
+        """The spacing of the codes at a level, DN."""
+        return np.interp(level, self.codes, self.cells)
 
 
 class CodeLattice(NamedTuple):
@@ -76,6 +91,20 @@ def code_lattice(histogram: Int[np.ndarray, "65536"]) -> CodeLattice:
         return CodeLattice(0.0, "undetermined", len(codes))
     kind = _gap_kind(codes[on_lattice], step)
     return CodeLattice(float(step) if kind == "lattice" else 0.0, kind, len(codes))
+
+
+def spacing_of(histogram: Int[np.ndarray, "65536"]) -> Spacing | None:
+    """How far apart codes lie along their range, which is one number only on a lattice; None where too few
+    values tell."""
+    codes = np.flatnonzero(histogram)
+    if len(codes) < 2:
+        return None
+    share = np.cumsum(histogram[codes]) / histogram.sum()
+    first, last = (int(np.searchsorted(share, q)) for q in (_TAIL, 1 - _TAIL))
+    around = codes[max(first - 1, 0) : last + 2]
+    if len(around) < 2 or histogram[codes[first : last + 1]].mean() < _CROWDED:
+        return None
+    return Spacing(around.astype(np.float64), np.gradient(around.astype(np.float64)))
 
 
 def _parts(frames: Any):

@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 
 from cannoise_jax.mechanisms import MECHANISMS
+from cannoise_jax.physics.core import tukey_lambda
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.physics.transfer.doubts import doubts
 from cannoise_jax.physics.transfer.ends import rails
 from cannoise_jax.physics.transfer.estimate import NotMeasurable
+from cannoise_jax.physics.transfer.estimators.noise import heavy_tails
 from cannoise_jax.physics.transfer.frames import frame_statistics
 from cannoise_jax.physics.transfer.photon_transfer import of_all_pixels, transfer_at
 from cannoise_jax.recordings.recording import Recording
@@ -122,3 +125,48 @@ def test_codes_that_are_missing_are_drawn_where_they_are_missing():
     assert not (codes % 8 == 3).any() and {1, 2, 4} <= set(codes % 8)
     middle = counts[96:104]
     assert middle[2] > 1.6 * middle[4]
+
+
+@pytest.mark.parametrize("factor", (1.1, 1.37, 1.7))
+@pytest.mark.parametrize("tailed", (False, True), ids=["gaussian", "tailed"])
+def test_codes_that_a_digital_gain_put_apart_have_the_tails_of_those_before(factor, tailed):
+    rng = np.random.default_rng(4)
+    shape = (8, 96, 128)
+    noise = rng.standard_t(6, shape) / np.sqrt(1.5) if tailed else rng.standard_normal(shape)
+    codes = np.floor(np.rint(2.8 * noise) * factor + 0.5) + 500
+    taken = Recording(codes.astype(np.uint16), "MONO", (500.0,) * 4, 65535.0, "c", "bias")
+    found = heavy_tails([frame_statistics(taken)])["tukey_lambda"]
+    if tailed:
+        assert found.value < tukey_lambda.GAUSSIAN - 0.1
+    else:
+        assert found.value == pytest.approx(tukey_lambda.GAUSSIAN, abs=3.5 * found.stderr)
+
+
+@pytest.mark.parametrize("read", (3.5, 9.0))
+def test_rounding_to_codes_that_a_square_root_put_apart_is_no_gain(read):
+    """Codes rint(2 sqrt(DN - 300)) squared back: 14 DN apart in the dark, and 69 and 99 in the flats."""
+    rng = np.random.default_rng(3)
+    gain, size, statistics = 0.8, (96, 128), []
+    y, x = np.meshgrid(*(np.linspace(-1, 1, n) for n in size), indexing="ij")
+    shape = (1 - 0.3 * (x**2 + y**2)) * (1 + 0.006 * rng.standard_normal(size))
+    for kind, light in (("bias", 0.0), ("flat", 15000.0), ("flat", 7000.0)):
+        charge = rng.poisson(light * shape, (8, *size)) + read * rng.standard_normal((8, *size))
+        codes = 300 + np.rint((np.rint(2 * np.sqrt(np.maximum(200 + gain * charge, 0))) / 2) ** 2)
+        own = Recording(codes.astype(np.uint16), "MONO", (500.0,) * 4, 16383.0, "c", kind, exposure_s=1.0)
+        statistics.append(frame_statistics(own))
+    transfer = of_all_pixels(transfer_at(statistics))
+    found = {(q.name, q.unit): q for q in transfer.quantities}
+    assert found["system gain", "DN/e-"].outcome.value == pytest.approx(gain, rel=0.02)
+    assert "apart, as of a table: the variance of rounding" in found["system gain", "DN/e-"].note
+    noise = found["temporal dark noise", "e-"].outcome  # of a fifth of a code in the dark only a bound
+    assert noise.ci90[0] - 0.15 <= read <= noise.ci90[1] + 0.15
+    level = found["black level", "DN"].outcome
+    assert level.ci90[0] - 0.2 <= 500.0 <= level.ci90[1] + 0.2
+
+
+def test_codes_further_apart_than_the_noise_doubt_the_gain():
+    """400 DN apart in the flats, whose noise is 63 DN."""
+    coarse = taken(lambda v: np.where(v < 1000, v, 400 * np.rint(v / 400)), levels=(0.0, 4000.0, 8000.0))
+    assert any("mostly that of rounding" in line for line in doubts(of_all_pixels(transfer_at(coarse))))
+    plain = taken(lambda v: v, levels=(0.0, 4000.0, 8000.0))
+    assert not doubts(of_all_pixels(transfer_at(plain)))

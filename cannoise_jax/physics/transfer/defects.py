@@ -9,16 +9,21 @@ import numpy as np
 from jaxtyping import Bool
 from scipy import ndimage
 
+from cannoise_jax.physics.transfer.bad_columns import told
 from cannoise_jax.physics.transfer.estimators.dead import dead_of
 from cannoise_jax.physics.transfer.estimators.pick import brightest_flat
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.response import response_of
 from cannoise_jax.physics.transfer.unlit import lines_of
+from cannoise_jax.physics.transfer.views import at_an_end
 from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import DARK
 
 _TOLD = 3
 """Shadows that are named, the deepest first."""
+
+_COLUMNS_TOLD = 6
+"""Bad columns that are named, from the left."""
 
 
 def defects_line(statistics: Sequence[FrameStatistics]) -> str:
@@ -43,6 +48,32 @@ def defects_line(statistics: Sequence[FrameStatistics]) -> str:
         if m is not None and m.any()
     ]
     return f"of the pixels {', '.join(said)}: noise and patterns are measured without them" if said else ""
+
+
+def columns_line(statistics: Sequence[FrameStatistics]) -> str:
+    """Which columns are bad, in the darks or else under light, and how; empty where none are."""
+    flat = brightest_flat(statistics)
+    flats = [s for s in statistics if s.recording.kind == "flat" and s.bad is not None]
+    darks = [s for s in statistics if s.recording.kind in DARK and s.bad is not None]
+    said: dict[int, str] = {}
+    for s in (
+        *sorted(darks, key=lambda s: s.recording.exposure_s or 0.0),
+        *sorted(flats, key=lambda s: s is not flat),
+    ):
+        assert s.bad is not None
+        dark = s.recording.kind in DARK
+        for found in told(s.mean, s.bad, float(np.mean(s.recording.black_level))):
+            how = f"{found.apart:+.3g} DN in the darks" if dark else f"{100 * found.ratio:.2g} % of the light"
+            part = "" if found.rows == (1, s.mean.shape[0]) else f", rows {found.rows[0]} to {found.rows[1]}"
+            said.setdefault(found.column, f"{found.column} ({how}{part})")
+    if not said:
+        return ""
+    first = ", ".join(said[c] for c in sorted(said)[:_COLUMNS_TOLD])
+    more = f" and {len(said) - _COLUMNS_TOLD} more" if len(said) > _COLUMNS_TOLD else ""
+    return (
+        f"bad column{'s' if len(said) > 1 else ''} {first}{more}: black level, noise and patterns are "
+        "measured without what lies so far from its neighbours"
+    )
 
 
 def shadows_line(statistics: Sequence[FrameStatistics]) -> str:
@@ -89,9 +120,7 @@ def spots_line(statistics: Sequence[FrameStatistics]) -> str:
 
 def _stuck(s: FrameStatistics, side: int) -> Bool[np.ndarray, "H W"]:
     """Pixels that are stuck above (1) or below (-1) the level."""
-    if s.stuck is None:
-        return np.zeros(s.mean.shape, bool)
-    return s.stuck & (side * (s.mean - float(np.median(s.mean))) > 0)
+    return at_an_end(s) & (side * (s.mean - float(np.median(s.mean))) > 0)
 
 
 def _always(masks: Sequence[Bool[np.ndarray, "H W"]]) -> Bool[np.ndarray, "H W"] | None:

@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from cannoise_jax.physics.transfer.black import flat_seconds, reference_dark, stand_in
-from cannoise_jax.physics.transfer.defects import defects_line, shadows_line, spots_line
+from cannoise_jax.physics.transfer.defects import columns_line, defects_line, shadows_line, spots_line
 from cannoise_jax.physics.transfer.estimate import NotMeasurable
+from cannoise_jax.physics.transfer.estimators.own_charge import holds_charge
 from cannoise_jax.physics.transfer.estimators.pick import brightest_flat
 from cannoise_jax.physics.transfer.fit import Line
 from cannoise_jax.physics.transfer.frames import FrameStatistics
@@ -25,6 +26,8 @@ from cannoise_jax.recordings.recording import DARK
 
 _LONGER, _LONG_S = 10.0, 1.0
 """Times the exposure of flats, and seconds, from which dark charge may matter in darks and not in flats."""
+_TOLD = 3
+"""Exposures of darks from which on dark current, and what the shortest hold of it, is told."""
 
 _MOST = 0.3
 """Share of the pixels of a dark which reach the white level, where that cannot be the right one."""
@@ -41,7 +44,7 @@ class Faults(NamedTuple):
     darks have not one scale. biases: they are no repeats of the darks. levels: frames of a dark lie at two.
     flats: their light moves. unlit: no light reaches a part of a flat. longer: the read noise is that of long
     darks. uneven: it, or the gain, differs between parts of the frame. defects: pixels that show nothing.
-    shadows: of dust. spots: of light, that move over flats.
+    columns: far from all others. shadows: of dust. spots: of light, that move over flats.
     """
 
     cut_off: str = ""
@@ -53,6 +56,7 @@ class Faults(NamedTuple):
     longer: str = ""
     uneven: str = ""
     defects: str = ""
+    columns: str = ""
     shadows: str = ""
     spots: str = ""
     colours: str = ""
@@ -90,7 +94,8 @@ def faults(statistics: Sequence[FrameStatistics], lines: Sequence[Line | NotMeas
         lights=lights, charge=charge, codes=codes_line(parted),
         biases=unlike_biases(parted, slope) if drawn else "", levels=levels_line(statistics),
         flats=flats_moving(parted) if drawn else "", unlit=unlit_line(parted), longer=_longer(statistics),
-        uneven=_uneven(parted), defects=defects_line(parted), shadows=shadows_line(parted),
+        uneven=_uneven(parted), defects=defects_line(parted),
+        columns=columns_line(parted), shadows=shadows_line(parted),
         spots=spots_line(parted),
     )  # fmt: skip
 
@@ -123,7 +128,13 @@ def _longer(statistics: Sequence[FrameStatistics]) -> str:
             f"flats of {own:g} s are measured above darks of {dark:g} s, whose dark charge counts as that of "
             f"the flats: where it matters record darks of {own:g} s"
         )
-    # Of several exposures the dark current is told.
+    reference = reference_dark(statistics)
+    timed = None not in seconds and len(set(seconds)) < _TOLD
+    if reference is not None and timed and holds_charge(reference):
+        return (
+            f"the darks of {reference.recording.exposure_s:g} s hold dark charge: read noise and black level "
+            "are with it and its shot noise: record biases, or darks of three exposures or more"
+        )
     if flat is None or len(set(seconds)) != 1 or not known or known[0] < max(_LONGER * flat, _LONG_S):
         return ""
     return (

@@ -21,10 +21,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.transfer.bad_columns import bad_columns, line_means_without
 from cannoise_jax.physics.transfer.ends import Extremes, lowest_share, rails, stuck_pixels, without_stuck
 from cannoise_jax.physics.transfer.hits import Hits, without_hits
 from cannoise_jax.physics.transfer.spots import without_spots
-from cannoise_jax.recordings.codes import code_histograms, code_lattice
+from cannoise_jax.recordings.codes import Spacing, code_histograms, code_lattice, spacing_of
 from cannoise_jax.recordings.metadata import chunks
 from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import PerChannel, Recording, per_channel
@@ -47,8 +48,10 @@ class FrameStatistics:
     lowest: share of the values of each channel at its lowest code, without pixels that are 0 in every frame,
       which are masked or dead; 0 where that code is neither 0 nor `low`.
     clipped: pixels that touched such a code, or the white level, or were hit by a particle, in any frame.
-    stuck: pixels at an end of the codes in every frame, far from the level of the others (`ends`), among
-      `clipped`; no means but `mean` hold them. None where there are none.
+    stuck: pixels at an end of the codes in every frame, far from the level of the others (`ends`), and those
+      of bad columns, among `clipped`; no means but `mean` hold them. None where there are none.
+    bad: those of bad columns alone (`bad_columns`).
+    spacing: how far apart the codes lie along their range; None where too few values tell.
     hits: particle hits of repeated darks, which `recording` is without; None for what is none.
     spots: pixels of a flat over which stars or the like move (`spots`), among `clipped`; None for none.
     unlit: parts of a flat that no light reaches (see `unlit`), among `clipped`; dead: parts of a dark that
@@ -84,6 +87,8 @@ class FrameStatistics:
     rounded: tuple[PerChannel, PerChannel] | None = None
     shot: Float[np.ndarray, "H W"] | None = None
     stuck: Bool[np.ndarray, "H W"] | None = None
+    bad: Bool[np.ndarray, "H W"] | None = None
+    spacing: Spacing | None = None
 
 
 def steady_frames(s: FrameStatistics) -> Iterator[Float[np.ndarray, "H W"]]:
@@ -175,6 +180,13 @@ def frame_statistics(recording: Recording) -> FrameStatistics:
     signal = _row_signal(recording, rows)
     relative = _is_lit(recording, signal)
     mean, variance, total, clipped = _second_pass(recording, rows, columns, relative, low, high)
+    bad = np.zeros(recording.size, bool)
+    if variance is not None and recording.kind != "scene":
+        black = np.asarray(recording.black_level) if relative else None
+        bad = bad_columns(mean, float(np.sqrt(np.median(variance))), black) & ~stuck
+        if bad.any():
+            stuck = stuck | bad
+            rows, columns = line_means_without(recording.frames, stuck, _CHUNK_BYTES)
     frame_means = np.stack([rows[:, c // 2 :: 2, c % 2].mean(1) for c in range(4)], -1)
     count = recording.count
     dead = [count * int((site((mean == 0) & ~stuck, c)).sum()) for c in range(4)]
@@ -189,10 +201,11 @@ def frame_statistics(recording: Recording) -> FrameStatistics:
         recording, mean, variance, total, dof, relative, frame_means, rows, columns,
         level, float(step), per_channel(np.array(low)), per_channel(np.array(high)),
         per_channel(np.array(lowest)), clipped, hits, stuck=stuck if stuck.any() else None,
+        bad=bad if bad.any() else None, spacing=spacing_of(histograms.sum(0)),
     )  # fmt: skip
     if not relative or variance is None:
         return found
-    average = sum(steady_frames(found)) / recording.count
+    average = np.asarray(sum(steady_frames(found))) / recording.count
     spots = without_spots(recording, steady_frames(found), average, variance)
     if spots is None:
         return found

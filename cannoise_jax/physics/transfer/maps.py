@@ -327,10 +327,14 @@ def read_noise(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
     # Log-normal read noise of unit mean square: the variances have logs of rms 2 w, w^2 = ln(1 + spread^2).
     width, half = 2 * float(np.sqrt(np.log1p(values["spread"] ** 2))), dark.dof / 2
     ratio, jumps = np.empty(dark.mean.shape), _jumps_in(dark, seen).of_frames
+    grown = charge.grown(seen.statistics, seen.baseline, dark)
     for c in range(4):
         square, _ = robust_mean_square(pixel_variance(dark, c), dark.dof)
         rounding = dark.code_step**2 / 12
-        site(ratio, c)[...] = (pixel_variance(dark, c) - site(jumps, c) - rounding) / (square - rounding)
+        known = site(jumps, c) + rounding
+        if grown is not None:
+            known = known + seen.baseline.gain[c] * site(grown[0], c)
+        site(ratio, c)[...] = (pixel_variance(dark, c) - known) / (square - rounding)
     ratio = np.maximum(ratio / _of_lines(seen), 0.05)
     logs = np.log(ratio) - (special.digamma(half) - np.log(half)) + width**2 / 2
     unit = shrunk(logs, width, float(special.polygamma(1, half)), seen.draw(logs.shape))

@@ -47,6 +47,7 @@ from cannoise_jax.physics.transfer.quiet import (
 from cannoise_jax.physics.transfer.rails import LINEAR, STILL, below_rail, lit_of, moved, with_measured_black
 from cannoise_jax.physics.transfer.ranges import finest
 from cannoise_jax.physics.transfer.shape import shape_quantities
+from cannoise_jax.physics.transfer.spacing import own_step, rounding_beyond
 from cannoise_jax.physics.transfer.unlit import without_unlit
 from cannoise_jax.physics.transfer.views import (
     dark_shot,
@@ -226,7 +227,7 @@ def _levels(
     ]  # fmt: skip
     for s in within or [s for s in finest(lit, step) if s.variance is not None]:
         signal = (site(s.mean, c) - black[c]) * site(of_variance(s), c)
-        variance = pixel_variance(s, c) - dark_shot(s, c)
+        variance = pixel_variance(s, c) - dark_shot(s, c) - rounding_beyond(s, site(s.mean, c), step)
         usable = below_rail(s, c)
         if usable.mean() > _ENOUGH:
             if (usable & quiet).sum() >= _MANY:
@@ -237,11 +238,15 @@ def _levels(
         charge = max(float(mean_level(dark)[c]) - black[c], 0.0)
         zero = np.full(site(dark.mean, c).shape, charge)
         usable, variance = ~site(dark.clipped, c), pixel_variance(dark, c)
-        if below := noise_below_a_code(dark, step, c):
+        own_codes = own_step(dark, step)
+        if not (below := noise_below_a_code(dark, own_codes, c)):
+            variance = variance - rounding_beyond(dark, site(dark.mean, c), step)
+        else:
             # Rounding adds step^2 / 12 to flats, and something else to noise of less than a code.
             own = below.read.value**2 + step**2 / 12
             variance = variance + (own - below.square)
-            if hidden_in_a_code(dark, step, c):  # most pixels are at a code where values pile up
+            # Of pixels at a code where values pile up, or at few of a table, each by itself tells nothing.
+            if own_codes > step or hidden_in_a_code(dark, own_codes, c):
                 usable, variance = np.ones(usable.shape, bool), np.full(variance.shape, own)
         levels.append(
             ChannelMaps(zero, variance, usable, dark.recording.count, dark.dof, True, unlike_sites(dark, c))
@@ -259,7 +264,8 @@ def _line(
     levels = _levels(lit, dark, black, step, c)
     if all(level.known_signal for level in levels):
         return NotMeasurable(DIMMER)
-    quiet = None if dark is None else noise_below_a_code(dark, step, c)
+    own_codes = step if dark is None else own_step(dark, step)
+    quiet = None if dark is None else noise_below_a_code(dark, own_codes, c)
     bounded = quiet is not None and quiet.read.ci90[0] <= 0
     if bounded:  # then flats of several levels tell the slope alone, and the dark would bend it
         line = fit_line([level for level in levels if not level.known_signal], step**2 / 12)
@@ -269,7 +275,7 @@ def _line(
     if line is None or not line.sure:
         if dark is None:
             return NotMeasurable(f"{RECORD_DARKS}, or flats of several levels")
-        return NotMeasurable(BELOW_A_CODE if hidden_in_a_code(dark, step, c) else UNSURE)
+        return NotMeasurable(BELOW_A_CODE if hidden_in_a_code(dark, own_codes, c) else UNSURE)
     if line.dropped > SET_ASIDE and any(s.recording.kind == "scene" for s in lit):
         return NotMeasurable(f"{100 * line.dropped:.0f} % of pixels change by more than noise: {STILL}")
     if quiet is None or not bounded:

@@ -38,6 +38,7 @@ from cannoise_jax.physics.transfer.quiet import (
 from cannoise_jax.physics.transfer.rails import is_cut_off
 from cannoise_jax.physics.transfer.ranges import coarser_range
 from cannoise_jax.physics.transfer.several_gains import uneven_gain
+from cannoise_jax.physics.transfer.spacing import MOSTLY_ROUNDING, own_step, spacing_line
 from cannoise_jax.physics.transfer.straight import NOT_LINEAR, bends
 from cannoise_jax.physics.transfer.views import pixel_variance, quiet_mean_square, quiet_pixels
 from cannoise_jax.recordings.packing import site
@@ -81,6 +82,7 @@ def noise_quantities(
 ) -> list[Quantity]:  # fmt: skip
     """Black level, gain, and temporal noise in the dark."""
     out: list[Quantity] = []
+    spaced, step = spacing_line(statistics, step, c), step if dark is None else own_step(dark, step)
     sigma = _read_noise(line, dark, step, c)
     level_note, noise_note = _own_charge(dark, black, line, sigma, series)
     if dark is not None:
@@ -101,8 +103,9 @@ def noise_quantities(
         bent = bends(statistics, black.level, c, black.error[c])
         uneven = uneven_gain(statistics, c)
         odd = coarser_range(statistics, c) or bent or uneven
-        note = "; ".join(filter(None, (set_aside(line), odd)))
-        severe = uneven or (bent if bent.endswith(NOT_LINEAR) else "")
+        note = "; ".join(filter(None, (set_aside(line), odd, spaced)))
+        rounded = spaced if spaced.endswith(MOSTLY_ROUNDING) else ""
+        severe = rounded or uneven or (bent if bent.endswith(NOT_LINEAR) else "")
         out.append(Quantity("system gain", "DN/e-", name, line.slope, note, _doubt(line, severe)))
         out.append(Quantity("inverse gain", "e-/DN", name, inverse))
     note = "pixels; row noise taken out" + ("" if dark is None else _left_out(dark, c))

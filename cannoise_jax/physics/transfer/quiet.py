@@ -43,6 +43,9 @@ times those at the next: hits and hot pixels fill all alike."""
 _SPARSE = 0.3
 """Temporal variance, codes squared, below which the variances of single pixels are mostly 0 or of few kinds,
 so that outliers among them are told by their size."""
+_TWO_CODES = 4.5
+"""Over the number of frames, the variance of a pixel that lies two codes away in one of them, 4 of it, with
+what the mean of its row adds: of noise of a third of a code two frames in 70 pairs do."""
 _STILL = 1e-3
 """Temporal variance of pixels that never change, codes squared: that of the frame's mean, which is taken
 out."""
@@ -71,7 +74,8 @@ def noise_below_a_code(dark: FrameStatistics, step: float, c: int) -> QuietNoise
     if (at_two := _at_two_codes(dark, step, c)) is not None:
         top, level = at_two
         return QuietNoise(Estimate(0.5 * top, top / np.sqrt(12), (0.0, top)), square, level)
-    mean, spread = level_and_spread(site(dark.mean, c), square, dark.recording.count, step)
+    origin = _origin(dark, step)
+    mean, spread = level_and_spread(site(dark.mean, c) - origin, square, dark.recording.count, step)
     found = [
         before_rounding(mean, max(v, 1e-6 * step**2), step, spread)
         for v in (square, square - stderr, square + stderr)
@@ -79,7 +83,15 @@ def noise_below_a_code(dark: FrameStatistics, step: float, c: int) -> QuietNoise
     level, read = (
         normal_estimate(value, 0.5 * abs(high - low)) for value, low, high in zip(*found, strict=True)
     )
-    return QuietNoise(read, square, level)
+    return QuietNoise(read, square, level.shifted(origin))
+
+
+def _origin(dark: FrameStatistics, step: float) -> float:
+    """How far above a multiple of their spacing the codes of a dark lie, DN: those of a table anywhere."""
+    if dark.spacing is None or step <= 1:
+        return 0.0
+    codes = dark.spacing.codes
+    return float(codes[np.argmin(np.abs(codes - np.median(dark.mean)))] % step)
 
 
 def with_rounding_told(s: FrameStatistics) -> FrameStatistics:
@@ -129,11 +141,11 @@ def _at_two_codes(dark: FrameStatistics, step: float, c: int) -> tuple[float, Es
 
 def square_below_a_code(variance: Float[np.ndarray, "h w"], dof: float, step: float) -> tuple[float, float]:
     """Mean of the temporal variances of pixels, DN^2, and its error. Where most hardly ever change code,
-    those that do are no outliers."""
+    those that do are no outliers, by two codes in one of few frames neither."""
     square, keep = robust_mean_square(variance, dof)
     kept = variance[keep]
     if square < _SPARSE * step**2:
-        kept = variance[variance < step**2]
+        kept = variance[variance < max(1.0, _TWO_CODES / (dof + 1)) * step**2]
         square = float(kept.mean())
     return square, float(kept.std() / np.sqrt(kept.size))
 

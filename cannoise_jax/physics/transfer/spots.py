@@ -42,6 +42,9 @@ _MOST, _MOST_OF_ONE = 0.3, 0.1
 """Share of the pixels that spots move over at most, and that they cover in one frame: what is more is a
 scene."""
 
+_DIM = 0.05
+"""Of the light, the least whose noise is told from it: parts without light have more."""
+
 
 class Spots(NamedTuple):
     """A flat without its spots, and the pixels that one moves over."""
@@ -60,7 +63,7 @@ def without_spots(
         return None
     noise = np.empty(mean.shape)
     for c in range(4):  # the variance of a flat is in proportion to its light
-        signal = np.maximum(site(mean, c), 1e-9)
+        signal = np.maximum(site(mean, c), max(_DIM * float(np.median(site(mean, c))), 1e-9))
         site(noise, c)[...] = np.sqrt(np.median(site(variance, c) / signal) * signal)
     noise = np.maximum(noise, 1e-9)
     taken = {t: spots for t, frame in enumerate(steady) if (spots := _spots((frame - mean) / noise)).any()}

@@ -117,6 +117,11 @@ def not_stuck(s: FrameStatistics) -> Bool[np.ndarray, "H W"]:
     return np.ones(s.mean.shape, bool) if s.stuck is None else ~s.stuck
 
 
+def at_an_end(s: FrameStatistics) -> Bool[np.ndarray, "H W"]:
+    """Stuck pixels without those of bad columns, which are at no end of the codes."""
+    return ~not_stuck(s) if s.bad is None else ~not_stuck(s) & ~s.bad
+
+
 def left_in_lines(s: FrameStatistics, axis: int) -> float:
     """Of the variance of white noise, what the mean of a row (axis 0) or column (axis 1) holds, over all of
     them: one over its pixels that are not stuck, 0 of lines that have none."""

@@ -77,6 +77,24 @@ def spread_apart(histogram: Int[np.ndarray, "65536"]) -> str:
     return f"codes lie {apart} steps apart, as of a table or a digital gain: none of a converter is missing"
 
 
+def joined_codes(histogram: Int[np.ndarray, "65536"], step: int) -> Int[np.ndarray, "65536"] | None:
+    """For every code the one it has where those that are populated lie one step apart, as they did before a
+    digital gain; None where they lie so anyway, outliers apart."""
+    crowded = np.flatnonzero(histogram >= _POPULATED)
+    if len(crowded) < 2:
+        return None
+    low, high = int(crowded[0]), int(crowded[-1])
+    used = low + np.flatnonzero(histogram[low : high + 1])
+    gaps = np.diff(used)
+    if not np.any((gaps > step) & (np.minimum(histogram[used[1:]], histogram[used[:-1]]) >= _POPULATED)):
+        return None
+    out = np.arange(len(histogram))
+    joined = low + step * np.arange(len(used))
+    out[low : high + 1] = np.interp(out[low : high + 1], used, joined)
+    out[high + 1 :] -= high - int(joined[-1])
+    return out
+
+
 def black_clipping(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     """level_dn: the code at which darks pile up, above the black level; known to half a code step."""
     dark = darkest(statistics)

@@ -15,6 +15,7 @@ from cannoise_jax.physics.transfer.estimators.dark_map import dark_map
 from cannoise_jax.physics.transfer.estimators.pick import brightest_flat, no_flat
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.response import CLEAR, DEAD, response_of
+from cannoise_jax.physics.transfer.views import at_an_end
 from cannoise_jax.recordings.packing import site
 
 _DIM = NotMeasurable("record brighter flats: single pixels are not above their noise")
@@ -53,8 +54,9 @@ def dead_of(statistics: Sequence[FrameStatistics], flat: FrameStatistics) -> Boo
             return None
         site(out, c)[...] = found.pattern < (DEAD - 1) * found.light
     # Masked pixels show nothing in the dark either.
-    none = [m for m in (flat.unlit, *(s.stuck for s, _ in (dark.darks if dark else ()))) if m is not None]
-    return out & ~np.any(none, axis=0) if none else out
+    for s, _ in dark.darks if dark else ():
+        out &= ~at_an_end(s)
+    return out if flat.unlit is None else out & ~flat.unlit
 
 
 def dead_map(values: Any, seen: Any) -> dict[str, np.ndarray]:

@@ -21,6 +21,7 @@ from cannoise_jax.physics.transfer.estimate import (
 from cannoise_jax.physics.transfer.estimators.charge import grown
 from cannoise_jax.physics.transfer.estimators.dark_map import HOT, DarkMap
 from cannoise_jax.physics.transfer.estimators.light_alone import LightAlone, light_alone
+from cannoise_jax.physics.transfer.estimators.own_charge import expected_logs, halves_of, holds_charge
 from cannoise_jax.physics.transfer.estimators.pick import (
     brightest_flat,
     darkest,
@@ -30,7 +31,7 @@ from cannoise_jax.physics.transfer.estimators.pick import (
     repeated_darks,
     steady_pixels,
 )
-from cannoise_jax.physics.transfer.frames import FrameStatistics, of_variance, steady_frames
+from cannoise_jax.physics.transfer.frames import FrameStatistics, of_variance
 from cannoise_jax.physics.transfer.quiet import coarse, pattern_below_a_code, unseen_offsets
 from cannoise_jax.physics.transfer.regions import uneven_noise
 from cannoise_jax.physics.transfer.response import response_of
@@ -157,7 +158,8 @@ def pixel_read_noise_map(
 ) -> Estimates:
     """spread (std over mean) of the pixels' read noise, from what the log variances of two halves of the
     frames have in common: cov(ln v1, ln v2) = 4 w^2 for log-normal read noise, whatever the shape of the
-    noise, for the halves share nothing but the pixel. What pixels of a line share is no part of it.
+    noise, for the halves share nothing but the pixel. What pixels of a line share is no part of it, nor is
+    the shot noise of dark charge that they hold (`own_charge`), by which those that lie higher are noisier.
 
     without: pixels to leave out, as those that are known for telegraph pixels. Warm pixels, whose own charge
     explains their noise, are left out as well.
@@ -170,18 +172,32 @@ def pixel_read_noise_map(
     if why := uneven_noise(dark) or coarse(dark):
         return NotMeasurable(why)
     rounding = dark.code_step**2 / 12
-    halves = [np.log(np.maximum(v, max(rounding, 1e-6) / 4)) for v in _half_variances(dark)]
-    products, means = [], []
+    pairs = halves_of(dark)
+    least = max(rounding, 1e-6) / 4
+    charged = baseline is not None and holds_charge(dark, pairs)
+    products, shots, means = [], [], []
     odd = dark.clipped | odd_by_charge(dark, None if baseline is None else baseline.gain)
     for c in range(4):
         keep = ~site(odd if without is None else odd | without, c)
         if keep.sum() < _FEWEST:
             return _NO_PIXELS
-        logs = [_within_lines(site(v, c), keep) for v in halves]
-        # Every way to halve the frames measures the same; their mean is a little surer than one alone.
-        products.append(sum(a * b for a, b in zip(logs[::2], logs[1::2], strict=True)) / (len(logs) // 2))
         means.append(float(pixel_variance(dark, c)[keep].mean()))
+        logs = [
+            [_within_lines(np.log(np.maximum(site(h.variance, c), least)), keep) for h in p] for p in pairs
+        ]
+        # Every way to halve the frames measures the same; their mean is a little surer than one alone.
+        products.append(sum(a * b for a, b in logs) / len(logs))
+        if charged:
+            gain = float(baseline.gain[c])
+            shot_logs = [
+                [_within_lines(expected_logs(site(h.mean, c), keep, means[-1], gain), keep) for h in p]
+                for p in pairs
+            ]
+            both = [a * n + b * m for (a, b), (m, n) in zip(logs, shot_logs, strict=True)]
+            shots.append(sum(both) / (2 * len(both)))
     values = np.concatenate(products)
+    if charged:
+        values = values - np.concatenate(shots)
     square = normal_estimate(float(values.mean()), float(values.std() / np.sqrt(values.size)))
     width = root(square.scaled(0.25))
     row, mean = 1 / (dark.recording.size[1] // 2), float(np.mean(means))
@@ -218,27 +234,6 @@ def _narrowed(widths: Float[np.ndarray, "n"], shared: float) -> Float[np.ndarray
     weights = _WEIGHTS / _WEIGHTS.sum()
     logs = np.log(np.exp(2 * widths[:, None] * (_POINTS - widths[:, None])) + shared)
     return np.sqrt((logs - (logs @ weights)[:, None]) ** 2 @ weights) / 2
-
-
-def _half_variances(dark: FrameStatistics) -> list[Float[np.ndarray, "H W"]]:
-    """Temporal variance of every pixel in one half of the frames and in the other, for the three ways to make
-    halves of four groups of frames that take turns, one after the other."""
-    counts, sums, squares = np.zeros(4), [], []
-    for at, frame in enumerate(steady_frames(dark)):
-        values = frame - dark.mean  # shifted, so that sums of squares do not cancel
-        if at < 4:
-            sums.append(values)
-            squares.append(values**2)
-        else:
-            sums[at % 4] += values
-            squares[at % 4] += values**2
-        counts[at % 4] += 1
-    out = []
-    for pair in ((0, 1), (2, 3), (0, 2), (1, 3), (0, 3), (1, 2)):
-        count = sum(counts[k] for k in pair)
-        mean = sum(sums[k] for k in pair) / count
-        out.append((sum(squares[k] for k in pair) / count - mean**2) * count / (count - 1))
-    return out
 
 
 def green_imbalance(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
