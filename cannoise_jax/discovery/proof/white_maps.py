@@ -97,7 +97,7 @@ def patterned(step: Step) -> Doubt | None:
     found = max(_of_blocks(one, two, noise), _of_waves(one, two, noise), key=lambda f: f.share)
     if found.share <= _STRUCTURED:
         repeated = 0.0 if noise else _of_lines(one, two)
-        said = f"{100 * repeated:.0f} % of the map repeats, in lines of its spectrum, and is not of single pixels"
+        said = f"{100 * repeated:.0f} % of the map repeats: lines of its spectrum, not single pixels"
         return Doubt(repeated, (said,), instead=True) if repeated > _REPEATED else None
     structures = f"structures some {found.length} px wide"
     said = f"{100 * found.share:.0f} % of the map is of {structures}, not of single pixels"
@@ -161,7 +161,7 @@ def _of_waves(one: Float[np.ndarray, "h w"], two: Float[np.ndarray, "h w"], nois
 
 def _of_lines(one: Float[np.ndarray, "h w"], two: Float[np.ndarray, "h w"]) -> float:
     """Share of the map's variance at single frequencies that stand far out of those beside them, as what
-    repeats has it; 0 where there are none. Those of whole lines, of one parity or both, and of light, aside."""
+    repeats has it; 0 where there are none. Whole lines and light aside."""
     first, second = (np.fft.fft2(m - m.mean()) / np.sqrt(m.size) for m in (one, two))
     power, cross = np.abs(first + second) ** 2, (first * second.conj()).real
     beside = _smoothed(np.minimum(power, _CAPPED * np.median(power)))
