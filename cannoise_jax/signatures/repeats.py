@@ -136,9 +136,9 @@ def _tile(sums: LineSums, periods: tuple[int, int]) -> Tile:
     seen = root > 0
     level = float(sums.score.sum() / sums.information.sum())
     z = _cut(np.where(seen, sums.score / np.maximum(root, 1e-15) - root * level, 0.0), seen)
-    scale = float(np.mean(z[seen] ** 2))
     score, information = (_folded(_folded(v, periods[0]).T, periods[1]).T for v in (z * root, root**2))
     values = score / np.maximum(information, 1e-30)
+    scale = float(np.mean((z - root * _repeated(values, z.shape))[seen] ** 2))
     return Tile(values - values.mean(), scale / np.maximum(information, 1e-30))
 
 
