@@ -59,8 +59,8 @@ def sentence(entry: dict[str, Any], step: Step, proof: Proof, term: Term) -> str
     meaning = "" if unnamed else term.amplitude
     size = _sized(entry["amplitude"]["value"], unit, meaning)
     if unnamed:
-        axes, told = step.named.signature.axes, step.named.signature.kind
-        kind = told(step.named.score) if told else axes.law
+        axes, in_words = step.named.signature.axes, step.named.signature.kind
+        kind = in_words(step.named.score) if in_words else axes.law
         start = f"A structure without a name, {placed(axes)} (of the kind: {kind}): strength {size}"
         if step.named.doubt is not None:
             near = step.named.doubt.nearest.replace("_", " ")
