@@ -36,6 +36,7 @@ from cannoise_jax.signatures import (
     pixels,
     random_gain,
     reference,
+    repeats,
     scales,
     shape,
     smear,
@@ -71,6 +72,11 @@ GLOW, SMOOTH = ("glow",), ("smooth_additive", "smooth_thermal")
 """Signatures of light that falls off from a corner or edge, and of what is smooth: each takes the other."""
 AREAS = ("tile_8_frozen", "tile_16_frozen", "tile_32_frozen", "tile_64_frozen")
 """Signatures of offsets of small areas."""
+LINES = tuple(
+    f"{axis}_{kind}_static" for axis in ("row", "column") for kind in ("additive", "relative", "thermal")
+)
+TURNS, WAVES = ("column_turns_additive", "column_turns_relative"), ("wave_frozen",)
+"""Signatures of frozen lines, of those that turn from row to row, and of frozen interference."""
 SCENES = ("reference_shift", "reference_blur", "reference_spread", "scene_static", "curvature", *SCALES)
 """Signatures of scenes against their references."""
 SLOW = (*MAPS, "pixel_relative_static", "scene_static")

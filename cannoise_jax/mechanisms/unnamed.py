@@ -14,6 +14,8 @@ SITES = ("site", "row_parity", "column_parity")
 """What stays per site of the mosaic is the black level's."""
 _CUT = (*looks.AREAS, *looks.THERMAL_LINES, "diagonal_frozen", "antidiagonal_frozen")
 """What a smooth pattern would be cut into."""
+_FOLDED = (*looks.LINES, *looks.TURNS, *looks.WAVES, *looks.MAPS, *_CUT)
+"""What a pattern that repeats every few rows and columns would be cut into."""
 
 _ALWAYS: tuple[Signature, ...] = (
     *(
@@ -36,6 +38,8 @@ _ALWAYS: tuple[Signature, ...] = (
     looks.modulated.swelling(name="modulated_relative", scaling="signal", covers=looks.COVERS_NOTHING),
     # Light that leaks into darks, and gradients of any shape.
     looks.smooth_maps.staying(name="smooth_additive", scaling="additive", covers=looks.GLOW, before=_CUT),
+    # Converters, multiplexers and corrections that work through small tiles.
+    looks.repeats.staying(name="repeating", covers=looks.DARK_LEVELS, before=_FOLDED),
     looks.covariance.any_lag("white", name="lags_any", covers=imprints.BLENDS),
     looks.covariance.any_lag("read", name="lags_read", covers=imprints.BLENDS),
     looks.shape.tails(name="light_tails", heavy=False, covers=looks.NOISY),

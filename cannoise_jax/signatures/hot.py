@@ -11,7 +11,7 @@ from scipy import special
 from cannoise_jax.physics.core.mechanism import Scaling
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.added import as_map, placed
-from cannoise_jax.signatures.core_law import NORMAL, Core, skewed
+from cannoise_jax.signatures.core_law import NORMAL, Core, left_open, skewed
 from cannoise_jax.signatures.fields import Fields, without_pixels
 from cannoise_jax.signatures.handed import Addition, Asked, Found, Many, Predicted
 from cannoise_jax.signatures.heat import (
@@ -106,10 +106,15 @@ def _core(u: np.ndarray, spread: float, mapped: bool) -> tuple[Core, np.ndarray,
         nats = float(np.sum(counts * core.log_density(CENTRES))) - u.size * float(np.log(core.spread))
         return nats + fitted[2], core, counts, fitted
 
-    laws = [Core(spread), *(skewed(u) if mapped else ())]
     # Beside more hot ones the lower half of all levels is that of no law.
-    found = [f for f in map(beside, laws) if f[1].law == NORMAL or f[3][0] < _FEW]
-    return max(found, key=lambda f: f[0])[1:]
+    told = [f for f in map(beside, skewed(u) if mapped else ()) if f[3][0] < _FEW]
+    best = max([beside(Core(spread)), *told], key=lambda f: f[0])
+    if mapped and best[3][0]:
+        # A tail that a law of more skewness has far better, and nothing out of it, is that law's.
+        others = [f for f in map(beside, left_open(u)) if f[3][2] < _CLEARLY]
+        other = max(others, key=lambda f: f[0], default=best)
+        best = other if other[0] > best[0] + _CLEARLY else best
+    return best[1:]
 
 
 def _lattice_spread(fields: tuple[Fields, ...]) -> float:
@@ -121,6 +126,10 @@ def _lattice_spread(fields: tuple[Fields, ...]) -> float:
 
 _FEW = 0.05
 """Share of hot pixels up to which the lower half of all levels tells the law of the others."""
+_CLEARLY = 10.0
+"""Nats by which a law of more skewness than that of the lower half of the levels must be better, and up to
+which hot pixels beside it are none: gamma-distributed currents of variation 0.13 to 0.25 gained 15 to 200 on
+normal ones with hot pixels."""
 _TOLD = 4.0
 """Chi-square of a typical pixel that stands out by which one law of its heat is told from the other: both are
 as sure that it is hot, where it is so many standard deviations that these are no longer counted."""

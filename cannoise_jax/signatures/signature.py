@@ -120,7 +120,8 @@ class Signature:
       DN, which may be a part of such. drawn_once: whether it is one draw of a random pattern that stays,
       which all frames tell better together. control: whether some of it is added to draws for the control of
       the two-sample test.
-    says(entry) -> the first words of its sentence and their interval. single_pixels: whether it is about
+    says(entry) -> the first words of its sentence and their interval. kind(score) -> of what has no name,
+      what it is in words, where the law of its axes says too little. single_pixels: whether it is about
       pixels that others set aside. restates: what it corrects of what was stated. approximate: whether
       what it takes out is close to the effect, not all of it, so that what has no name sees the rest.
       form_free: whether its form differs from camera to camera in ways that the model does not follow, so
@@ -172,6 +173,7 @@ class Signature:
     drawn_once: bool = False
     control: bool = False
     says: Callable[[dict[str, Any]], tuple[str, tuple[float, float]]] | None = None
+    kind: Callable[[Score], str] | None = None
     single_pixels: bool = False
     restates: Literal["gain", "read", None] = None
     series: Callable[[Fields, Score], Series | None] = NO_SERIES

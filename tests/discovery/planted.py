@@ -137,6 +137,13 @@ def _swelling(rng, f):
     return rng.standard_normal(_new(f)) * glow / glow.std()
 
 
+def _tile():
+    """Of 6 rows and 4 columns, of unit rms."""
+    tile = np.random.default_rng(7).standard_normal((6, 4))
+    tile = (tile - tile.mean()) / tile.std()
+    return tile[ROWS % 6, COLUMNS % 4]
+
+
 def _leak(f):
     """Light that leaks into darks as a stripe that fades along the rows: no fall from a corner or edge."""
     stripe = np.exp(-(((ROWS - 12) / 7.0) ** 2)) * np.exp(-COLUMNS / 20.0)
@@ -145,6 +152,7 @@ def _leak(f):
 
 OWN = {
     "smooth_additive": lambda rng, unit, f: 3 * _leak(f),
+    "repeating": lambda rng, unit, f: 2 * _tile(),
     "smooth_thermal": lambda rng, unit, f: 8 * f.exposure_s * _leak(f),
     "modulated_additive": lambda rng, unit, f: 2 * _swelling(rng, f),
     "modulated_relative": lambda rng, unit, f: 0.02 * f.signal * _swelling(rng, f) * f.lit,
@@ -180,6 +188,7 @@ of the camera, the same for all of its fields."""
 TRUE = {
     "wave_redrawn": 1.5,
     "wave_frozen": 1.5,
+    "repeating": 2.0,
     "flicker": 0.02,
     "row_slope": 3.0,
     "raster_slope": 3.0,

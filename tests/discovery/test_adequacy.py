@@ -251,6 +251,15 @@ def test_a_gain_map_of_fringes_is_no_map_of_single_pixels(texture):
         assert against.left == pytest.approx(structured[texture], abs=0.1) and "px" in against.against[0]
 
 
+def test_an_offset_map_that_repeats_is_no_map_of_single_pixels():
+    y, x = np.mgrid[:96, :128]
+    checks = np.sign(np.sin(2 * np.pi * y / 7.3)) * np.sign(np.sin(2 * np.pi * x / 11.1))
+    white = 0.4 * np.random.default_rng(2).standard_normal(checks.shape)
+    capture = capture_set(4, lambda rng: lambda dn, *_: dn + checks + white, kinds="d")
+    against = patterned(step_of(capture, "pixel_additive_static", "dsnu", -50))
+    assert against is not None and against.left > 0.25 and "repeats" in against.against[0]
+
+
 @pytest.mark.parametrize("where", ["anywhere", "edge columns"])
 def test_pixels_that_lie_in_few_columns_are_no_single_pixels(where):
     rng = np.random.default_rng(6)

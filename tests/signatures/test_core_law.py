@@ -74,3 +74,16 @@ def test_levels_that_are_normal_are_skewed_by_chance_alone():
 def test_beside_many_hot_pixels_no_law_is_told_from_the_lower_half():
     u = drawn("normal", 0.3, 0.3, 4)
     assert _core(u, spread_of(u), True)[0].law == NORMAL
+
+
+@pytest.mark.parametrize("hot", [0.0, 0.002])
+def test_a_skewness_that_the_lower_half_tells_too_little_of_makes_no_hot_pixels(hot):
+    """As where hits were taken out of some pixels, which have more noise about the same law; of normal levels
+    hot ones stay."""
+    rng = np.random.default_rng(5)
+    u = rng.gamma(16, 1.0, 20_000) if not hot else 4 * rng.standard_normal(20_000)
+    u = u - u.mean() + rng.standard_normal(u.size) * np.where(rng.random(u.size) < 0.07, 2.5, 1.0)
+    u += (rng.random(u.size) < hot) * rng.exponential(20.0, u.size)
+    core, _, (share, _, gain) = _core(u, spread_of(u), True)
+    assert (core.law == NORMAL) == bool(hot)
+    assert (gain > 100 and share == pytest.approx(hot, rel=0.5)) if hot else gain < 10

@@ -49,6 +49,7 @@ from cannoise_jax.discovery.proof.shared_noise import shared
 from cannoise_jax.discovery.proof.white_maps import gathered, noisy_again, patterned, ranged
 from cannoise_jax.discovery.proof.whole_codes import in_few_lines
 from cannoise_jax.discovery.proof.whole_lines import in_parts
+from cannoise_jax.discovery.proof.whole_scans import in_places
 from cannoise_jax.discovery.search.fit import Fitted, Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
 from cannoise_jax.physics.core.sensor import SensorModel
@@ -166,6 +167,7 @@ def doubts(
             or by_level(steps[n])
             or noisy_again(steps[n])
             or in_parts(steps[n])
+            or in_places(steps[n])
             or in_few_lines(steps[n], capture, frames)
             or not_gaussian(steps, n)
             or shared(steps[n])

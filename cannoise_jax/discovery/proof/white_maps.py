@@ -48,6 +48,13 @@ _SMOOTH = 8
 """Parts of the frame that are as smooth as light along a side."""
 _BESIDE = 9
 """Frequencies beside each other, along each axis, over which a spectrum is smoothed."""
+_IN_A_LINE = 9.0
+"""Nats beyond the log of the number of frequencies from which on the power at one is no chance."""
+_REPEATED = 0.25
+"""Share of the map's variance in such lines from which on it is no map of single pixels: white, hot and
+blurred ones have none, tiles of 6 x 10 and checks of 7.3 x 11.1 pixels 0.3 to 1."""
+_CAPPED = 5.0
+"""Typical power at which others count beside a line, so that lines beside each other do not hide."""
 
 _FARTHEST = 1e-3
 """Share of the pixels, the noisiest, that count as the next one does."""
@@ -89,7 +96,9 @@ def patterned(step: Step) -> Doubt | None:
     noise = axes.law == NOISE
     found = max(_of_blocks(one, two, noise), _of_waves(one, two, noise), key=lambda f: f.share)
     if found.share <= _STRUCTURED:
-        return None
+        repeated = 0.0 if noise else _of_lines(one, two)
+        said = f"{100 * repeated:.0f} % of the map repeats: lines of its spectrum, not single pixels"
+        return Doubt(repeated, (said,), instead=True) if repeated > _REPEATED else None
     structures = f"structures some {found.length} px wide"
     said = f"{100 * found.share:.0f} % of the map is of {structures}, not of single pixels"
     return Doubt(found.share, (said,), instead=True)
@@ -148,6 +157,21 @@ def _of_waves(one: Float[np.ndarray, "h w"], two: Float[np.ndarray, "h w"], nois
         return max(round(0.5 / float(np.hypot(down[at[0]], across[at[1]]))), 1)
 
     return _structured(every, alone, error, length)
+
+
+def _of_lines(one: Float[np.ndarray, "h w"], two: Float[np.ndarray, "h w"]) -> float:
+    """Share of the map's variance at single frequencies that stand far out of those beside them, as what
+    repeats has it; 0 where there are none. Whole lines and light aside."""
+    first, second = (np.fft.fft2(m - m.mean()) / np.sqrt(m.size) for m in (one, two))
+    power, cross = np.abs(first + second) ** 2, (first * second.conj()).real
+    beside = _smoothed(np.minimum(power, _CAPPED * np.median(power)))
+    out = power > (np.log(power.size) + _IN_A_LINE) * beside
+    down, across = (np.abs(np.fft.fftfreq(n, 1 / n)) for n in power.shape)
+    out &= (down[:, None] > _SMOOTH) | (across > _SMOOTH)
+    out[[0, len(out) // 2]] = False
+    out[:, [0, out.shape[1] // 2]] = False
+    every = float(cross.sum())
+    return float(cross[out].sum()) / every if every > 0 else 0.0
 
 
 def _smoothed(power: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:

@@ -59,8 +59,9 @@ def sentence(entry: dict[str, Any], step: Step, proof: Proof, term: Term) -> str
     meaning = "" if unnamed else term.amplitude
     size = _sized(entry["amplitude"]["value"], unit, meaning)
     if unnamed:
-        axes = step.named.signature.axes
-        start = f"A structure without a name, {placed(axes)} (of the kind: {axes.law}): strength {size}"
+        axes, in_words = step.named.signature.axes, step.named.signature.kind
+        kind = in_words(step.named.score) if in_words else axes.law
+        start = f"A structure without a name, {placed(axes)} (of the kind: {kind}): strength {size}"
         if step.named.doubt is not None:
             near = step.named.doubt.nearest.replace("_", " ")
             start += f"; nearest to {near}, but {said_against(step.named.doubt)}"
