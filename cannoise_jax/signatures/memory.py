@@ -160,7 +160,9 @@ def in_order(fields: tuple[Fields, ...], score: Score, *, times: dict[int, list[
         more = np.float32(np.sqrt(alone * (1 + rho * successive.sum() / f.frames)))
         static = None if f.static is None else f.static / more
         out.append(
-            f._replace(contrasts=contrasts, static=static, sigma=f.sigma * more, louder=f.louder / more)
+            f._replace(
+                contrasts=contrasts, static=static, sigma=f.sigma * more, louder=f.louder / float(more)
+            )
         )
     return tuple(out)
 

@@ -24,9 +24,11 @@ _SURE = 3.0
 """Standard errors of the mean gain of the sites from which on noise counts as growing with the light."""
 
 
-def grown_gain(diagnosis: Diagnosis) -> float:
+def grown_gain(diagnosis: Result) -> float:
     """The gain beside the findings over that of the fitted baseline, at which strengths in electrons were
-    measured."""
+    measured; 1 where the baseline is that of a simulator, which may state any."""
+    if diagnosis.simulator != CALIBRATED:
+        return 1.0
     model = diagnosis.model
     fitted = np.array([b.gain for b in diagnosis.first.baselines])
     numbers = [diagnosis.first.isos[b.iso] for b in diagnosis.first.baselines]
