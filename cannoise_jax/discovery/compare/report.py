@@ -151,21 +151,37 @@ def better_document(a: Comparison, b: Comparison, result: Better) -> dict[str, A
         "ci90": [_plain(result.low), _plain(result.high)],
         "contrasts": result.units,
         "held_back": result.held_back,
+        "differences": [len(c.differences) for c in (a, b)],
+        "nats_of_differences": [_plain(sum(d.nats for d in c.differences)) for c in (a, b)],
         "fixed_pattern_gain_and_ci90": fixed,
     }
 
 
+_LESS = 0.5
+"""Share of the evidence for differences, nats, from which on one simulator differs less where the log score
+does not tell: both are of the same frames and statistics."""
+
+
 def better_line(a: Comparison, b: Comparison, result: Better) -> str:
-    """A against B in one line."""
+    """A against B in one line: by the log score, and by what is left that differs."""
+    first, second = (sum(d.nats for d in c.differences) for c in (a, b))
+    names = a.bank.label, b.bank.label
     said = {
-        "B": f"{b.bank.label} is nearer to the recordings than {a.bank.label}",
-        "A": f"{a.bank.label} is nearer to the recordings than {b.bank.label}",
-        "neither": "these frames do not tell which is nearer",
+        "B": f"{names[1]} is nearer to the recordings than {names[0]}",
+        "A": f"{names[0]} is nearer to the recordings than {names[1]}",
+        "neither": "the log score of these frames does not tell which is nearer",
     }[result.verdict]
+    less = 0 if first < _LESS * second else 1 if second < _LESS * first else None
+    if result.verdict == "neither" and less is not None:
+        said += f", but {names[less]} differs less"
     frames = "held-back frames" if result.held_back else "all frames (too few to hold some back)"
+    left = " and ".join(
+        f"{name} {len(c.differences)} difference{'s' * (len(c.differences) != 1)} ({value(nats)} nats)"
+        for name, c, nats in zip(names, (a, b), (first, second), strict=True)
+    )
     return (
         f"{said}: log score of B less A {result.gain:+.3g} nats a pixel, 90 % interval {result.low:+.3g} to "
-        f"{result.high:+.3g}, {result.units} contrasts of {frames}"
+        f"{result.high:+.3g}, {result.units} contrasts of {frames}; left are of {left}"
     )
 
 
