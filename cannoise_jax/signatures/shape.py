@@ -55,6 +55,10 @@ _BEYOND = 8
 """Values of normal noise that lie beyond where its fourth moment is cut off."""
 
 
+_ALIKE = 0.8
+"""Of the largest share of read noise, as a fourth moment has it, that from which darks are of one law."""
+
+
 class _Capped(NamedTuple):
     """He4 of normal values cut off at `at` standard deviations: mean and variance, and how much of a small
     excess kurtosis it shows."""
@@ -104,7 +108,7 @@ def kurtosis_score(fields: tuple[Fields, ...], *, tails: int = 1) -> Score | Non
             if f.kind in DARK:
                 width = f.step / float(np.median(f.sigma))
                 counted = np.clip(values[w > 0], -cap.at, cap.at)
-                pooled.append((np.histogram(counted, _EDGES)[0], width))
+                pooled.append((float(np.mean(w[w > 0])), (np.histogram(counted, _EDGES)[0], width)))
     if squares < 1:
         return None
     spread = np.sqrt(cap.variance * squares + cap.shown**2 * doubt)
@@ -116,12 +120,16 @@ def kurtosis_score(fields: tuple[Fields, ...], *, tails: int = 1) -> Score | Non
     amplitude, error = max(kappa, 0.0), float(np.sqrt(max(spread**2, scatter)) / (cap.shown * squares))
     gain = 0.5 * max(z, 0) ** 2
     if heavy:
-        gain, shape, doubt = _tukey_gain(pooled, cap.at)
+        # Shot noise of dark charge, which has no tails, fills those of the read noise in: one law fits darks
+        # that are as full of it.
+        most = max(part for part, _ in pooled)
+        gain, shape, doubt = _tukey_gain([own for part, own in pooled if part > _ALIKE * most], cap.at)
         # Of very heavy tails the moment scatters too much to be used.
         if kappa > 1 and gain > 0:
             shape = max(shape, _LONGEST)
-            amplitude = _excess_kurtosis(shape)
-            error = float(doubt * abs(_excess_kurtosis(shape + 0.01) - amplitude) / 0.01)
+            excess = _excess_kurtosis(shape)
+            amplitude = excess / most
+            error = float(doubt * abs(_excess_kurtosis(shape + 0.01) - excess) / 0.01) / most
     return Score(
         log_p=skewed_log_p(z, _HE4_SKEWNESS * cubes / squares**1.5, 1) if tails > 0 else normal_log_p(z, 1),
         gain=gain,

@@ -58,6 +58,8 @@ class Axes:
 
 CONTRASTS = frozenset({"contrasts", "usable", "sigma", "louder"})
 """What a statistic of differences between frames reads of a field."""
+ONE_FACTOR = "one factor"
+"""Law of a pattern that all pixels have times one number a frame."""
 STATIC = frozenset({"static", "answers", "usable", "sigma"})
 """What a statistic of what stays reads of a field."""
 FILES = frozenset[str]()
@@ -217,8 +219,8 @@ class Signature:
     @property
     def redraws_frames(self) -> bool:
         """Whether it is one random number a frame: a few frames then say all that is known of its spread."""
-        one = (self.axes.varies_over, self.axes.time) == ("frame", "redrawn")
-        return one or self.axes.time == "modulated"
+        one = self.axes.varies_over == "frame" or self.axes.law == ONE_FACTOR
+        return (one and self.axes.time == "redrawn") or self.axes.time == "modulated"
 
     def score_again(self, fields: Many, found: Score) -> Score | None:
         """The score of a finding on other frames."""

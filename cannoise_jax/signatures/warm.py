@@ -23,7 +23,7 @@ from cannoise_jax.signatures.levels import from_means
 from cannoise_jax.signatures.patterns import pixel_sums
 from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.score import LEAST_LOG_P, Score, chi2_log_sf
-from cannoise_jax.signatures.signature import CONTRASTS, STATIC, Axes, Signature
+from cannoise_jax.signatures.signature import CONTRASTS, ONE_FACTOR, STATIC, Axes, Signature
 
 DOUBLING_K = 6.3
 """Kelvin over which the dark current of silicon doubles near room temperature."""
@@ -341,7 +341,7 @@ def warming(
 
     return plain(
         name=name,
-        axes=Axes("pixel", "pixel", "redrawn", "exposure", "one factor"),
+        axes=Axes("pixel", "pixel", "redrawn", "exposure", ONE_FACTOR),
         reads=CONTRASTS | STATIC | {"mean"},
         score=warm_score,
         absorb=without_warmth,
