@@ -153,9 +153,10 @@ def _to_light(values: np.ndarray, recording: Recording, lean: np.ndarray) -> Non
     values /= lean
 
 
-def frame_statistics(recording: Recording) -> FrameStatistics:
-    """All statistics of one recording, darks without their particle hits (see `hits`). Reads its frames a few
-    at a time, twice or, where they are darks, some times more.
+def frame_statistics(recording: Recording, rounds: int = 2) -> FrameStatistics:
+    """All statistics of one recording, darks without their particle hits (see `hits`), flats without what
+    moves over them (see `spots`). Reads its frames a few at a time, twice or some times more. rounds: in
+    which spots are looked for, as strong ones hide others.
 
     Raises ValueError for mosaics smaller than 4 x 4.
     """
@@ -203,14 +204,15 @@ def frame_statistics(recording: Recording) -> FrameStatistics:
         per_channel(np.array(lowest)), clipped, hits, stuck=stuck if stuck.any() else None,
         bad=bad if bad.any() else None, spacing=spacing_of(histograms.sum(0)),
     )  # fmt: skip
-    if not relative or variance is None:
+    if not relative or variance is None or not rounds:
         return found
     average = np.asarray(sum(steady_frames(found))) / recording.count
     spots = without_spots(recording, steady_frames(found), average, variance)
     if spots is None:
         return found
-    again = frame_statistics(spots.recording)
-    return replace(again, clipped=again.clipped | spots.pixels, spots=spots.pixels)
+    again = frame_statistics(spots.recording, rounds - 1)
+    pixels = spots.pixels if again.spots is None else spots.pixels | again.spots
+    return replace(again, clipped=again.clipped | pixels, spots=pixels)
 
 
 def _filled(variance: Float[np.ndarray, "H W"], stuck: Bool[np.ndarray, "H W"]) -> Float[np.ndarray, "H W"]:

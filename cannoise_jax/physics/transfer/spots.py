@@ -17,7 +17,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
 from cannoise_jax.physics.robust import robust_std
@@ -66,13 +66,14 @@ def without_spots(
         signal = np.maximum(site(mean, c), max(_DIM * float(np.median(site(mean, c))), 1e-9))
         site(noise, c)[...] = np.sqrt(np.median(site(variance, c) / signal) * signal)
     noise = np.maximum(noise, 1e-9)
-    taken = {t: spots for t, frame in enumerate(steady) if (spots := _spots((frame - mean) / noise)).any()}
+    found = ((t, np.flatnonzero(_spots((frame - mean) / noise))) for t, frame in enumerate(steady))
+    taken = {t: spots for t, spots in found if spots.size}  # places, as masks of many frames are large
     pixels = np.zeros(mean.shape, bool)
     for spots in taken.values():
-        pixels |= spots
-    if not taken or pixels.mean() > _MOST or max(s.mean() for s in taken.values()) > _MOST_OF_ONE:
+        pixels.ravel()[spots] = True
+    if not taken or pixels.mean() > _MOST or max(s.size for s in taken.values()) > _MOST_OF_ONE * mean.size:
         return None
-    places = {t: (np.flatnonzero(spots), _calm(recording, t, taken)) for t, spots in taken.items()}
+    places = {t: (spots, _calm(recording, t, taken)) for t, spots in taken.items()}
     frames = LazyArray(
         partial(read_with, recording.frames, places), tuple(recording.frames.shape), np.dtype(np.uint16)
     )
@@ -99,18 +100,28 @@ def _calm(recording: Recording, number: int, taken: dict[int, np.ndarray]) -> np
     """The values to put where the spots of a frame are, along rows."""
     black = recording.black_map()
     own = np.asarray(recording.frames[number], np.float64) - black
-    left, out = taken[number].copy(), own.copy()
+    here = _mask(taken[number], own.shape)
+    left, out = here.copy(), own.copy()
     for more in range(1, recording.count):
         after = (number + more) % recording.count
         other = np.asarray(recording.frames[after], np.float64) - black
-        there = taken.get(after, np.zeros(left.shape, bool))
-        here = left & ~there
-        out[here] = (other * _of_rows(own, other, taken[number] | there))[here]
-        left &= ~here
+        there = _mask(taken.get(after, _NOWHERE), own.shape)
+        now = left & ~there
+        out[now] = (other * _of_rows(own, other, here | there))[now]
+        left &= ~now
         if not left.any():
             break
     values = np.rint(out + black)
-    return np.clip(values, 0, 65535).ravel()[np.flatnonzero(taken[number])].astype(np.uint16)
+    return np.clip(values, 0, 65535).ravel()[taken[number]].astype(np.uint16)
+
+
+_NOWHERE = np.zeros(0, np.int64)
+
+
+def _mask(places: Int[np.ndarray, "n"], size: tuple[int, ...]) -> Bool[np.ndarray, "H W"]:
+    out = np.zeros(size, bool)
+    out.ravel()[places] = True
+    return out
 
 
 def _of_rows(
