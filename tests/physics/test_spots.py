@@ -5,7 +5,7 @@ import pytest
 
 from cannoise_jax.commands.calibrate import calibrate
 from cannoise_jax.physics.transfer.frames import frame_statistics
-from cannoise_jax.physics.transfer.photon_transfer import transfer_at
+from cannoise_jax.physics.transfer.photon_transfer import of_all_pixels, transfer_at
 from cannoise_jax.recordings.recording import CaptureSet, Recording
 
 SIZE, BLACK, GAIN, READ, LIGHT = (120, 160), 500.0, 0.8, 4.5, 18000.0
@@ -50,6 +50,8 @@ def test_stars_leave_gain_and_neighbours_alone(height, number):
     assert gain == pytest.approx(GAIN, rel=0.015)
     (given,) = (f for f in findings if f.mechanism == "crosstalk")
     assert given.verdict == "not significant"
+    table = {q.name: q.outcome for q in of_all_pixels(transfer).quantities}
+    assert table["PRNU1288"].value == pytest.approx(0.6, rel=0.05)
 
 
 def test_a_star_is_replaced_and_its_neighbourhood_is_kept():

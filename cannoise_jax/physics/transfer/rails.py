@@ -14,7 +14,7 @@ from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.black import black_level, reference_dark
 from cannoise_jax.physics.transfer.fit import median_quotient
 from cannoise_jax.physics.transfer.frames import FrameStatistics, frame_statistics
-from cannoise_jax.physics.transfer.views import not_stuck, pixel_variance
+from cannoise_jax.physics.transfer.views import pixel_variance, unspoilt
 from cannoise_jax.recordings.packing import ALL, site
 from cannoise_jax.recordings.recording import DARK, Recording
 
@@ -159,7 +159,7 @@ def _in_common(changes: list[np.ndarray], far: int) -> float:
 def is_below_rail(s: FrameStatistics, c: int) -> bool:
     """Whether so few pixels of a repeated flat are near the code at which values pile up that its map of
     sensitivities is that of the sensor."""
-    return bool(below_rail(s, c)[site(not_stuck(s), c)].mean() >= _ALMOST_ALL)
+    return bool(below_rail(s, c)[site(unspoilt(s), c)].mean() >= _ALMOST_ALL)
 
 
 def is_cut_off(s: FrameStatistics, c: int) -> bool:

@@ -117,6 +117,11 @@ def not_stuck(s: FrameStatistics) -> Bool[np.ndarray, "H W"]:
     return np.ones(s.mean.shape, bool) if s.stuck is None else ~s.stuck
 
 
+def unspoilt(s: FrameStatistics) -> Bool[np.ndarray, "H W"]:
+    """Pixels that tell whether a flat reaches the ends of the codes: neither stuck nor left out for spots."""
+    return not_stuck(s) if s.spots is None else not_stuck(s) & ~s.spots
+
+
 def at_an_end(s: FrameStatistics) -> Bool[np.ndarray, "H W"]:
     """Stuck pixels without those of bad columns, which are at no end of the codes."""
     return ~not_stuck(s) if s.bad is None else ~not_stuck(s) & ~s.bad

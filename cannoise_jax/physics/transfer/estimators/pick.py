@@ -14,7 +14,7 @@ from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.full_well import below_full, full_signal
 from cannoise_jax.physics.transfer.quiet import BELOW_A_CODE, unchanging
 from cannoise_jax.physics.transfer.unlit import UNLIT
-from cannoise_jax.physics.transfer.views import black_of, not_stuck, pixel_variance
+from cannoise_jax.physics.transfer.views import black_of, pixel_variance, unspoilt
 from cannoise_jax.recordings.packing import ALL, site
 from cannoise_jax.recordings.recording import DARK
 
@@ -65,15 +65,10 @@ def brightest_flat(statistics: Sequence[FrameStatistics]) -> FrameStatistics | N
     full = [full_signal(statistics, c) for c in range(4)]
     flats = [
         s for s in statistics
-        if s.recording.kind == "flat" and s.variance is not None and s.clipped[_judged(s)].mean() < 1e-3
+        if s.recording.kind == "flat" and s.variance is not None and s.clipped[unspoilt(s)].mean() < 1e-3
         and all(below_full(s, full[c], black_of(s.recording, c), c) for c in range(4))
     ]  # fmt: skip
     return max(flats, key=lambda s: float(np.mean(s.level)), default=None)
-
-
-def _judged(s: FrameStatistics) -> Bool[np.ndarray, "H W"]:
-    """Pixels that tell whether a flat reaches the ends of the codes."""
-    return not_stuck(s) if s.spots is None else not_stuck(s) & ~s.spots
 
 
 def no_flat(statistics: Sequence[FrameStatistics]) -> NotMeasurable:
