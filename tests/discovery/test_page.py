@@ -62,7 +62,7 @@ def finding(mechanism, value, spread, outcome="FOUND", **more):
 
 
 def said_of(entry, proof, axes=ROWS):
-    signature = SimpleNamespace(axes=axes, says=None, frozen=axes.time == "frozen")
+    signature = SimpleNamespace(axes=axes, says=None, kind=None, frozen=axes.time == "frozen")
     step = SimpleNamespace(named=SimpleNamespace(signature=signature, doubt=None), late=False)
     return sentence(entry, step, proof, VOCABULARY[entry["mechanism"]])
 

@@ -105,7 +105,7 @@ def noise_quantities(
         odd = coarser_range(statistics, c) or bent or uneven
         note = "; ".join(filter(None, (set_aside(line), odd, spaced)))
         rounded = spaced if spaced.endswith(MOSTLY_ROUNDING) else ""
-        severe = rounded or uneven or (bent if bent.endswith(NOT_LINEAR) else "")
+        severe = (bent if bent.endswith(NOT_LINEAR) else "") or rounded or uneven
         out.append(Quantity("system gain", "DN/e-", name, line.slope, note, _doubt(line, severe)))
         out.append(Quantity("inverse gain", "e-/DN", name, inverse))
     note = "pixels; row noise taken out" + ("" if dark is None else _left_out(dark, c))
