@@ -1,6 +1,7 @@
 """Files that the HDF5 library never comes to an end with are refused, and no others."""
 
 import resource
+import struct
 import subprocess
 import sys
 import time
@@ -124,3 +125,22 @@ def test_matlab_files_that_their_reader_does_not_survive_are_refused_and_others_
     with pytest.raises(BadInput, match=r"lost\.mat: damaged: the reader of MATLAB v5 files"):
         hdf5.check_matlab(lost)
     hdf5.check_matlab(sound)
+
+
+def test_text_that_claims_gigabytes_is_refused_unread(tmp_path):
+    """The attribute says how long its text in the heap is; the library makes room for it first."""
+    path = foreign(tmp_path / "long.h5", "earliest")
+    data = bytearray(path.read_bytes())
+    heap = struct.pack("<Q", data.index(b"GCOL"))
+    claims = struct.pack("<I", 4) + heap  # of four letters, as cfa and camera have, at this address
+    assert claims in data
+    path.write_bytes(data.replace(claims, struct.pack("<I", 2_000_000_000) + heap))
+    read = f"import resource, h5py\nf = h5py.File({str(path)!r})\n"
+    read += "try: f.attrs['cfa']\nexcept OSError: pass\n"
+    peak = "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+    alone = subprocess.run([sys.executable, "-c", read + peak], capture_output=True, text=True)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(BadInput, match=r"long\.h5: damaged: .* or takes all memory"):
+        read_recording(path)
+    assert int(alone.stdout) > 1_500_000  # KB: what is refused is that
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 500_000
