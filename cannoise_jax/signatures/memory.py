@@ -153,8 +153,8 @@ def in_order(fields: tuple[Fields, ...], score: Score, *, times: dict[int, list[
         inner = np.einsum("mn,nij->mij", root, f.contrasts[: f.frames - 1]).astype(np.float32)
         last = f.contrasts[f.frames - 1 :]
         if f.lit:  # either these frames or those before hold the first
-            inner = _without_light(f, inner, root @ contrast[:, order.index(0)]) if 0 in order else inner
-            last = _without_light(f, last, np.ones(len(last)))
+            inner = _without_light_of(f, inner, root @ contrast[:, order.index(0)]) if 0 in order else inner
+            last = _without_light_of(f, last, np.ones(len(last)))
         contrasts = np.concatenate([inner, last])
         # Noise of a mean of such frames, which sigma stands for; contrasts keep their unit.
         more = np.float32(np.sqrt(alone * (1 + rho * successive.sum() / f.frames)))
@@ -167,7 +167,7 @@ def in_order(fields: tuple[Fields, ...], score: Score, *, times: dict[int, list[
     return tuple(out)
 
 
-def _without_light(field: Fields, c: np.ndarray, of: Float[np.ndarray, "n"]) -> np.ndarray:
+def _without_light_of(field: Fields, c: np.ndarray, of: Float[np.ndarray, "n"]) -> np.ndarray:
     """Contrasts without that part of what is in proportion to the signal which is of one frame. of: what that
     adds to each."""
     power = float(np.sum(field.relative**2))

@@ -8,7 +8,10 @@ Where most pairs of quarters have next to nothing of it, what is alike are place
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -32,20 +35,36 @@ def in_parts(step: Step) -> Doubt | None:
     white = (axes.time, axes.law, axes.scales) == ("redrawn", "white", "additive")
     if step.named.mechanism == UNKNOWN or not white or axes.varies_over not in ("row", "column"):
         return None
-    axis = 0 if axes.varies_over == "row" else 1
-    told = [f for f in step.before if not f.lit] or list(step.before)
-    found = [_products(f, axis) for f in told if f.frames > 1]
-    if not found:
+    parts = of_parts(step, partial(_products, axis=0 if axes.varies_over == "row" else 1))
+    if parts is None or parts.typical > _SHARED * parts.mean or parts.chance > _CHANCE:
         return None
-    products = np.concatenate(found, 1)
-    each, variance = products.mean(1), products.var(1) / products.shape[1]
-    mean, typical = float(each.mean()), float(np.median(each))
-    uneven = float(np.sum((each - mean) ** 2 / np.maximum(variance, 1e-300)))
-    if typical > _SHARED * mean or stats.chi2.sf(uneven, len(each) - 1) > _CHANCE:
-        return None
-    share = max(typical, 0.0) / mean if mean > 0 else 0.0
+    share = max(parts.typical, 0.0) / parts.mean if parts.mean > 0 else 0.0
     said = f"most quarters of {axes.varies_over}s have nothing in common: parts far apart are alike, no lines"
     return Doubt(1 - share, (said,), instead=True)
+
+
+class Parts(NamedTuple):
+    """What parts of the frame have in common: of each its mean product, the mean and the median of these, and
+    the probability that parts that all have as much differ by as much."""
+
+    each: Float[np.ndarray, "n"]
+    mean: float
+    typical: float
+    chance: float
+
+
+def of_parts(step: Step, products: Callable[[Fields], Float[np.ndarray, "n k"]]) -> Parts | None:
+    """Of the darks that a step was found on, else of all recordings; None where none has two frames.
+    products: of each part, as often as they are independent."""
+    told = [f for f in step.before if not f.lit] or list(step.before)
+    found = [products(f) for f in told if f.frames > 1]
+    if not found:
+        return None
+    values = np.concatenate(found, 1)
+    each, variance = values.mean(1), values.var(1) / values.shape[1]
+    mean = float(each.mean())
+    uneven = float(np.sum((each - mean) ** 2 / np.maximum(variance, 1e-300)))
+    return Parts(each, mean, float(np.median(each)), float(stats.chi2.sf(uneven, len(each) - 1)))
 
 
 def _products(field: Fields, axis: int) -> Float[np.ndarray, "6 k"]:

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
-from scipy import stats
 
+from cannoise_jax.discovery.proof.whole_lines import of_parts
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
 from cannoise_jax.signatures.fields import Fields
@@ -33,21 +33,14 @@ def in_places(step: Step) -> Doubt | None:
     along = (axes.varies_over, axes.time, axes.law) == ("raster", "redrawn", "1/f")
     if step.named.mechanism == UNKNOWN or not along:
         return None
-    told = [f for f in step.before if not f.lit] or list(step.before)
-    found = [_products(f) for f in told if f.frames > 1]
-    if not found:
-        return None
-    products = np.concatenate(found, 1)
-    each, variance = products.mean(1), products.var(1) / products.shape[1]
-    mean, typical = float(each.mean()), float(np.median(each))
-    uneven = float(np.sum((each - mean) ** 2 / np.maximum(variance, 1e-300)))
-    if mean <= 0 or typical > _TYPICAL * mean or stats.chi2.sf(uneven, len(each) - 1) > _CHANCE:
+    parts = of_parts(step, _products)
+    if parts is None or parts.mean <= 0 or parts.typical > _TYPICAL * parts.mean or parts.chance > _CHANCE:
         return None
     edges = np.linspace(0, step.before[0].mean.shape[1], _STRIPS + 1).astype(int)
-    most = int(np.argmax(each))
+    most = int(np.argmax(parts.each))
     where = f"columns {edges[most]} to {edges[most + 1] - 1}"
     said = f"most of it lies in few columns, about {where}: rows that settle or are disturbed there"
-    return Doubt(1 - max(typical, 0.0) / mean, (said,), instead=True)
+    return Doubt(1 - max(parts.typical, 0.0) / parts.mean, (said,), instead=True)
 
 
 def _products(field: Fields) -> Float[np.ndarray, "12 k"]:

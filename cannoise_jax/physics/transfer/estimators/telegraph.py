@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Bool, Float, Shaped
 from scipy import optimize, special
 
 from cannoise_jax.physics.transfer.dark_pixels import fit_errors, hessian
@@ -101,6 +101,12 @@ def rts(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     }
 
 
+def lasting(frames: int, rate: float) -> float:
+    """Share of the variance of jumps that the mean of so many successive frames keeps."""
+    apart = np.abs(np.subtract.outer(np.arange(frames), np.arange(frames)))
+    return float(np.mean((1 - 2 * rate) ** apart))
+
+
 def telegraph_sites(
     dark: FrameStatistics,
     jump_dn: float,
@@ -108,25 +114,11 @@ def telegraph_sites(
     rate: float,
     gain: Float[np.ndarray, "4"] | None = None,
 ) -> Float[np.ndarray, "H W"]:
-    """1 at the pixels that are more likely telegraph signals than quiet, else 0; each of its own jump, any of
-    `_HEIGHTS`. gain: DN/e-, by which warm pixels are told from them."""
+    """1 at the pixels that are more likely telegraph signals than quiet, else 0. gain: DN/e-, by which warm
+    pixels are told from them."""
     series, sigma = standardised(dark)
-    odds, loud = np.full(series.shape[1], -np.inf), series.std(0) > _MAY_BE_LOUD
-    each = [telegraph_odds(series[:, loud], h * jump_dn / sigma, rate) for h in _HEIGHTS]
-    odds[loud] = special.logsumexp(each, axis=0) - np.log(len(_HEIGHTS))
-    # Pixels that are only noisier may be as many as those that jump.
-    odds = np.minimum(odds + np.log(fraction) - np.log1p(-fraction), odds - noisier_odds(series))
-    odds[pixels_in_order(odd_by_charge(dark, gain))] = -np.inf
-    sites = np.zeros(dark.mean.shape)
-    for c, part in enumerate(np.split(odds > 0, 4)):
-        site(sites, c)[...] = part.reshape(site(sites, c).shape)
-    return sites
-
-
-def lasting(frames: int, rate: float) -> float:
-    """Share of the variance of jumps that the mean of so many successive frames keeps."""
-    apart = np.abs(np.subtract.outer(np.arange(frames), np.arange(frames)))
-    return float(np.mean((1 - 2 * rate) ** apart))
+    at = _jumping(series, jump_dn / sigma, fraction, rate) & ~pixels_in_order(odd_by_charge(dark, gain))
+    return _on_mosaic(at, dark.mean.shape)
 
 
 def heights(
@@ -139,25 +131,36 @@ def heights(
     """At telegraph pixels how high their jumps are over `jump_dn`, else 0: the root of their variance over
     what such jumps have. What their variances differ by beyond chance is theirs, as in James and Stein; for
     traps that are mostly empty, or mostly full, the jump of equal times at both levels."""
-    sites = telegraph_sites(dark, jump_dn, fraction, rate, gain)
     series, sigma = standardised(dark)
-    at = pixels_in_order(sites > 0)
-    if not at.any():
-        return sites
-    count, half = len(series), jump_dn / sigma / 2
+    at = _jumping(series, jump_dn / sigma, fraction, rate) & ~pixels_in_order(odd_by_charge(dark, gain))
+    found = np.zeros(at.shape)
+    if at.any():
+        found[at] = _heights(series[:, at], jump_dn / sigma / 2, rate)
+    return _on_mosaic(found, dark.mean.shape)
+
+
+def _jumping(
+    series: Float[np.ndarray, "T n"], jump: float, fraction: float, rate: float
+) -> Bool[np.ndarray, "n"]:
+    """Pixels that are more likely telegraph signals than quiet; each of its own jump, any of `_HEIGHTS`."""
+    odds, loud = np.full(series.shape[1], -np.inf), series.std(0) > _MAY_BE_LOUD
+    each = [telegraph_odds(series[:, loud], h * jump, rate) for h in _HEIGHTS]
+    odds[loud] = special.logsumexp(each, axis=0) - np.log(len(_HEIGHTS))
+    # Pixels that are only noisier may be as many as those that jump.
+    return np.minimum(odds + np.log(fraction) - np.log1p(-fraction), odds - noisier_odds(series)) > 0
+
+
+def _heights(series: Float[np.ndarray, "T n"], half: float, rate: float) -> Float[np.ndarray, "n"]:
+    """Of the jumps of these pixels, over twice `half`."""
+    count = len(series)
     expected = half**2 * (1 - lasting(count, rate)) * count / (count - 1)
-    own = (series[:, at].var(0, ddof=1) - 1) / expected
+    own = (series.var(0, ddof=1) - 1) / expected
     rng = np.random.default_rng(0)
     turns = np.where(rng.random((count, _CHANCES)) < rate, -1.0, 1.0)
-    chance = half * np.cumprod(turns, 0) + rng.standard_normal(turns.shape)
-    chance = (chance.var(0, ddof=1).var()) / expected**2
+    drawn = half * np.cumprod(turns, 0) + rng.standard_normal(turns.shape)
+    chance = drawn.var(0, ddof=1).var() / expected**2
     share = max(1 - chance / max(float(own.var()), 1e-30), 0.0)
-    power = np.maximum(own.mean() + share * (own - own.mean()), 0.0)
-    ordered = np.zeros(at.shape)
-    ordered[at] = np.sqrt(power)
-    for c, part in enumerate(np.split(ordered, 4)):
-        site(sites, c)[...] = part.reshape(site(sites, c).shape)
-    return sites
+    return np.sqrt(np.maximum(own.mean() + share * (own - own.mean()), 0.0))
 
 
 def standardised(dark: FrameStatistics) -> tuple[Float[np.ndarray, "T n"], float]:
@@ -184,6 +187,14 @@ def standardised(dark: FrameStatistics) -> tuple[Float[np.ndarray, "T n"], float
 def pixels_in_order(values: Shaped[np.ndarray, "H W"]) -> Shaped[np.ndarray, "n"]:
     """One value a pixel in the order of `standardised`: channel by channel."""
     return np.concatenate([site(values, c).ravel() for c in range(4)])
+
+
+def _on_mosaic(values: Shaped[np.ndarray, "n"], size: tuple[int, ...]) -> Float[np.ndarray, "H W"]:
+    """Values in the order of `pixels_in_order` at their pixels."""
+    out = np.zeros(size)
+    for c, part in enumerate(np.split(values, 4)):
+        site(out, c)[...] = part.reshape(site(out, c).shape)
+    return out
 
 
 def _mixed(
