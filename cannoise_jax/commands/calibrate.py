@@ -198,6 +198,7 @@ def _photon_transfers(capture: CaptureSet) -> tuple[tuple[PhotonTransfer, ...], 
     """Photon transfer at every ISO, and of what was warned of on the way that which bears on all numbers of a
     sheet: flats that no dark is as warm as, what is stated and contradicted by the recordings, and gains that
     are not to be trusted. Raises BadInput as `calibrate`."""
+    from cannoise_jax.physics.transfer.defects import WITHOUT
     from cannoise_jax.physics.transfer.doubts import doubts
     from cannoise_jax.physics.transfer.estimators.particles import told
     from cannoise_jax.physics.transfer.faults import faults
@@ -226,7 +227,7 @@ def _photon_transfers(capture: CaptureSet) -> tuple[tuple[PhotonTransfer, ...], 
             *wrong.stated,
             wrong.unlit,
             wrong.defects,
-            wrong.columns,
+            wrong.lines and f"{wrong.lines}: {WITHOUT}",
             wrong.shadows,
             wrong.spots,
             wrong.longer,

@@ -42,7 +42,10 @@ def fault_lines(found: Mapping[float | None, Faults]) -> list[str]:
     for iso, wrong in found.items():
         moves = f"the gain{at_iso(iso)} was not measured: {wrong.moves}" if wrong.moves else ""
         doubted = f"the gain{at_iso(iso)}: {wrong.doubted}" if wrong.doubted else ""
-        measured = *wrong.stated, wrong.unlit, wrong.longer, wrong.uneven, wrong.spots
+        lines = (
+            f"{wrong.lines}: defects, for which there is no name among the findings" if wrong.lines else ""
+        )
+        measured = *wrong.stated, wrong.unlit, lines, wrong.longer, wrong.uneven, wrong.spots
         out += [line for line in (wrong.cut_off, moves, doubted, *measured) if line]
     return out
 

@@ -247,7 +247,9 @@ def gathered(step: Step) -> Doubt | None:
         dense = stats.poisson.sf(found - 1, found.mean()) < _CROWDED / found.size
         share = float(found[dense].sum() / sites.sum() - dense.mean())
         if share > _STRUCTURED:
-            said = f"{100 * share:.0f} % of these pixels lie in {int(dense.sum())} {what}, not anywhere"
+            lines = int(dense.sum())
+            where = f"one {what[:-1]}" if lines == 1 and what[-1] == "s" else f"{lines} {what}"
+            said = f"{100 * share:.0f} % of these pixels lie in {where}, not anywhere"
             return Doubt(share, (said,), instead=True)
     return None
 

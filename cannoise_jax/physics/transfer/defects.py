@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool
 from scipy import ndimage
 
-from cannoise_jax.physics.transfer.bad_columns import told
+from cannoise_jax.physics.transfer.bad_lines import told
 from cannoise_jax.physics.transfer.estimators.dead import dead_of
 from cannoise_jax.physics.transfer.estimators.pick import brightest_flat
 from cannoise_jax.physics.transfer.frames import FrameStatistics
@@ -22,8 +22,10 @@ from cannoise_jax.recordings.recording import DARK
 _TOLD = 3
 """Shadows that are named, the deepest first."""
 
-_COLUMNS_TOLD = 6
-"""Bad columns that are named, from the left."""
+WITHOUT = "black level, noise and patterns are measured without what lies so far from its neighbours"
+"""Of bad lines: what calibrating makes of them."""
+_LINES_TOLD = 6
+"""Bad columns that are named, from the left, and rows, from the top."""
 
 
 def defects_line(statistics: Sequence[FrameStatistics]) -> str:
@@ -50,30 +52,34 @@ def defects_line(statistics: Sequence[FrameStatistics]) -> str:
     return f"of the pixels {', '.join(said)}: noise and patterns are measured without them" if said else ""
 
 
-def columns_line(statistics: Sequence[FrameStatistics]) -> str:
-    """Which columns are bad, in the darks or else under light, and how; empty where none are."""
+def bad_line(statistics: Sequence[FrameStatistics]) -> str:
+    """Which columns and rows are bad, in the darks or else under light, and how; empty where none are."""
+    return "; ".join(text for axis in (0, 1) if (text := _bad_along(statistics, axis)))
+
+
+def _bad_along(statistics: Sequence[FrameStatistics], axis: int) -> str:
+    """Names of the bad columns (axis 0) or rows (1)."""
     flat = brightest_flat(statistics)
-    flats = [s for s in statistics if s.recording.kind == "flat" and s.bad is not None]
-    darks = [s for s in statistics if s.recording.kind in DARK and s.bad is not None]
+    found = [s for s in statistics if s.bad is not None]
+    darks = sorted(
+        (s for s in found if s.recording.kind in DARK), key=lambda s: s.recording.exposure_s or 0.0
+    )
+    flats = sorted((s for s in found if s.recording.kind == "flat"), key=lambda s: s is not flat)
     said: dict[int, str] = {}
-    for s in (
-        *sorted(darks, key=lambda s: s.recording.exposure_s or 0.0),
-        *sorted(flats, key=lambda s: s is not flat),
-    ):
+    for s in (*darks, *flats):
         assert s.bad is not None
+        mean, bad = (s.mean, s.bad.columns) if axis == 0 else (s.mean.T, s.bad.rows.T)
         dark = s.recording.kind in DARK
-        for found in told(s.mean, s.bad, float(np.mean(s.recording.black_level))):
-            how = f"{found.apart:+.3g} DN in the darks" if dark else f"{100 * found.ratio:.2g} % of the light"
-            part = "" if found.rows == (1, s.mean.shape[0]) else f", rows {found.rows[0]} to {found.rows[1]}"
-            said.setdefault(found.column, f"{found.column} ({how}{part})")
+        for line in told(mean, bad, float(np.mean(s.recording.black_level))):
+            how = f"{line.apart:+.3g} DN in the darks" if dark else f"{100 * line.ratio:.2g} % of the light"
+            first, last = line.part
+            part = "" if line.part == (1, len(mean)) else f", {('rows', 'columns')[axis]} {first} to {last}"
+            said.setdefault(line.line, f"{line.line} ({how}{part})")
     if not said:
         return ""
-    first = ", ".join(said[c] for c in sorted(said)[:_COLUMNS_TOLD])
-    more = f" and {len(said) - _COLUMNS_TOLD} more" if len(said) > _COLUMNS_TOLD else ""
-    return (
-        f"bad column{'s' if len(said) > 1 else ''} {first}{more}: black level, noise and patterns are "
-        "measured without what lies so far from its neighbours"
-    )
+    first_ones = ", ".join(said[n] for n in sorted(said)[:_LINES_TOLD])
+    more = f" and {len(said) - _LINES_TOLD} more" if len(said) > _LINES_TOLD else ""
+    return f"bad {('column', 'row')[axis]}{'s' if len(said) > 1 else ''} {first_ones}{more}"
 
 
 def shadows_line(statistics: Sequence[FrameStatistics]) -> str:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cannoise_jax.physics.transfer.black import flat_seconds, reference_dark, stand_in
-from cannoise_jax.physics.transfer.defects import columns_line, defects_line, shadows_line, spots_line
+from cannoise_jax.physics.transfer.defects import bad_line, defects_line, shadows_line, spots_line
 from cannoise_jax.physics.transfer.estimate import NotMeasurable
 from cannoise_jax.physics.transfer.estimators.own_charge import holds_charge
 from cannoise_jax.physics.transfer.estimators.pick import brightest_flat
@@ -44,7 +44,7 @@ class Faults(NamedTuple):
     darks have not one scale. biases: they are no repeats of the darks. levels: frames of a dark lie at two.
     flats: their light moves. unlit: no light reaches a part of a flat. longer: the read noise is that of long
     darks. uneven: it, or the gain, differs between parts of the frame. defects: pixels that show nothing.
-    columns: far from all others. shadows: of dust. spots: of light, that move over flats.
+    lines: columns and rows far from all others. shadows: of dust. spots: of light, that move over flats.
     """
 
     cut_off: str = ""
@@ -56,7 +56,7 @@ class Faults(NamedTuple):
     longer: str = ""
     uneven: str = ""
     defects: str = ""
-    columns: str = ""
+    lines: str = ""
     shadows: str = ""
     spots: str = ""
     colours: str = ""
@@ -95,7 +95,7 @@ def faults(statistics: Sequence[FrameStatistics], lines: Sequence[Line | NotMeas
         biases=unlike_biases(parted, slope) if drawn else "", levels=levels_line(statistics),
         flats=flats_moving(parted) if drawn else "", unlit=unlit_line(parted), longer=_longer(statistics),
         uneven=_uneven(parted), defects=defects_line(parted),
-        columns=columns_line(parted), shadows=shadows_line(parted),
+        lines=bad_line(parted), shadows=shadows_line(parted),
         spots=spots_line(parted),
     )  # fmt: skip
 

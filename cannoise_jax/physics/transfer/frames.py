@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from cannoise_jax.physics.robust import robust_std
-from cannoise_jax.physics.transfer.bad_columns import bad_columns, line_means_without
+from cannoise_jax.physics.transfer.bad_lines import BadLines, bad_lines, line_means_without
 from cannoise_jax.physics.transfer.ends import Extremes, lowest_share, rails, stuck_pixels, without_stuck
 from cannoise_jax.physics.transfer.hits import Hits, without_hits
 from cannoise_jax.physics.transfer.spots import without_spots
@@ -49,8 +49,8 @@ class FrameStatistics:
       which are masked or dead; 0 where that code is neither 0 nor `low`.
     clipped: pixels that touched such a code, or the white level, or were hit by a particle, in any frame.
     stuck: pixels at an end of the codes in every frame, far from the level of the others (`ends`), and those
-      of bad columns, among `clipped`; no means but `mean` hold them. None where there are none.
-    bad: those of bad columns alone (`bad_columns`).
+      of bad lines, among `clipped`; no means but `mean` hold them. None where there are none.
+    bad: columns and rows that are bad (`bad_lines`).
     spacing: how far apart the codes lie along their range; None where too few values tell.
     hits: particle hits of repeated darks, which `recording` is without; None for what is none.
     spots: pixels of a flat over which stars or the like move (`spots`), among `clipped`; None for none.
@@ -87,7 +87,7 @@ class FrameStatistics:
     rounded: tuple[PerChannel, PerChannel] | None = None
     shot: Float[np.ndarray, "H W"] | None = None
     stuck: Bool[np.ndarray, "H W"] | None = None
-    bad: Bool[np.ndarray, "H W"] | None = None
+    bad: BadLines | None = None
     spacing: Spacing | None = None
 
 
@@ -181,12 +181,12 @@ def frame_statistics(recording: Recording, rounds: int = 2) -> FrameStatistics:
     signal = _row_signal(recording, rows)
     relative = _is_lit(recording, signal)
     mean, variance, total, clipped = _second_pass(recording, rows, columns, relative, low, high)
-    bad = np.zeros(recording.size, bool)
+    bad = None
     if variance is not None and recording.kind != "scene":
         black = np.asarray(recording.black_level) if relative else None
-        bad = bad_columns(mean, float(np.sqrt(np.median(variance))), black) & ~stuck
-        if bad.any():
-            stuck = stuck | bad
+        bad = bad_lines(mean, float(np.sqrt(np.median(variance))), black, stuck)
+        if bad is not None:
+            stuck = stuck | bad.pixels
             rows, columns = line_means_without(recording.frames, stuck, _CHUNK_BYTES)
     frame_means = np.stack([rows[:, c // 2 :: 2, c % 2].mean(1) for c in range(4)], -1)
     count = recording.count
@@ -202,7 +202,7 @@ def frame_statistics(recording: Recording, rounds: int = 2) -> FrameStatistics:
         recording, mean, variance, total, dof, relative, frame_means, rows, columns,
         level, float(step), per_channel(np.array(low)), per_channel(np.array(high)),
         per_channel(np.array(lowest)), clipped, hits, stuck=stuck if stuck.any() else None,
-        bad=bad if bad.any() else None, spacing=spacing_of(histograms.sum(0)),
+        bad=bad, spacing=spacing_of(histograms.sum(0)),
     )  # fmt: skip
     if not relative or variance is None or not rounds:
         return found

@@ -123,8 +123,8 @@ def unspoilt(s: FrameStatistics) -> Bool[np.ndarray, "H W"]:
 
 
 def at_an_end(s: FrameStatistics) -> Bool[np.ndarray, "H W"]:
-    """Stuck pixels without those of bad columns, which are at no end of the codes."""
-    return ~not_stuck(s) if s.bad is None else ~not_stuck(s) & ~s.bad
+    """Stuck pixels without those of bad lines, which are at no end of the codes."""
+    return ~not_stuck(s) if s.bad is None else ~not_stuck(s) & ~s.bad.pixels
 
 
 def left_in_lines(s: FrameStatistics, axis: int) -> float:

@@ -1,6 +1,8 @@
-"""Columns, or long parts of them, that lie far from their neighbours: hot ones, and such that lose charge.
+"""Columns and rows, or long parts of them, that lie far from their neighbours: hot ones, and such that lose
+charge.
 
-Every CCD has some. They are defects, as hot pixels are, and none of a population of columns that differ.
+Every CCD has some. They are defects, as hot pixels are, and none of a population of lines that differ. What
+is said here of columns holds for rows, which are columns of the frame turned over.
 """
 
 from __future__ import annotations
@@ -35,11 +37,35 @@ _DEAD = 0.2
 """Of the light about it, up to which a column does not answer: pixels that are dead are told as such."""
 
 
-def bad_columns(
-    mean: Float[np.ndarray, "H W"], noise: float, black: Float[np.ndarray, "4"] | None = None
+class BadLines(NamedTuple):
+    """Pixels of bad columns and of bad rows."""
+
+    columns: Bool[np.ndarray, "H W"]
+    rows: Bool[np.ndarray, "H W"]
+
+    @property
+    def pixels(self) -> Bool[np.ndarray, "H W"]:
+        return self.columns | self.rows
+
+
+def bad_lines(
+    mean: Float[np.ndarray, "H W"],
+    noise: float,
+    black: Float[np.ndarray, "4"] | None,
+    stuck: Bool[np.ndarray, "H W"],
+) -> BadLines | None:
+    """Bad columns and rows in an average of frames, without stuck pixels; None where there are none. noise:
+    temporal, of a usual pixel, DN: a line that lies less far from its neighbours moves nothing. black: level
+    of a flat, whose dead lines are left."""
+    turned = None if black is None else black[[0, 2, 1, 3]]  # channels of the frame turned over
+    columns, rows = _columns(mean, noise, black), _columns(mean.T, noise, turned).T
+    found = BadLines(columns & ~stuck, rows & ~stuck)
+    return found if found.pixels.any() else None
+
+
+def _columns(
+    mean: Float[np.ndarray, "H W"], noise: float, black: Float[np.ndarray, "4"] | None
 ) -> Bool[np.ndarray, "H W"]:
-    """Pixels of bad columns in an average of frames. noise: temporal, of a usual pixel, DN: a column that
-    lies less far from its neighbours moves nothing. black: level of a flat, whose dead columns are left."""
     out = np.zeros(mean.shape, bool)
     for c in range(4):
         values = site(mean, c)
@@ -99,17 +125,17 @@ def _filled(means: Float[np.ndarray, "T n"], counts: Float[np.ndarray, "n"]) -> 
     return np.where(counts > 0, means, usual)
 
 
-class BadColumn(NamedTuple):
-    """A bad column, or a part of it, counted from 1, and how far it lies from its neighbours, DN and as a
-    share of what those have."""
+class BadLine(NamedTuple):
+    """A bad column or row, or a part of it, counted from 1, and how far it lies from its neighbours, DN and
+    as a share of what those have."""
 
-    column: int
-    rows: tuple[int, int]
+    line: int
+    part: tuple[int, int]
     apart: float
     ratio: float
 
 
-def told(mean: Float[np.ndarray, "H W"], bad: Bool[np.ndarray, "H W"], black: float) -> tuple[BadColumn, ...]:
+def told(mean: Float[np.ndarray, "H W"], bad: Bool[np.ndarray, "H W"], black: float) -> tuple[BadLine, ...]:
     """What bad columns are like in an average of frames, from left to right."""
     found = []
     for x in np.flatnonzero(bad.any(0)):
@@ -119,5 +145,5 @@ def told(mean: Float[np.ndarray, "H W"], bad: Bool[np.ndarray, "H W"], black: fl
         usual = float(np.median(others)) if others else float(np.median(mean))
         own = float(np.median(mean[rows, x]))
         ratio = (own - black) / max(usual - black, 1e-9)
-        found.append(BadColumn(int(x) + 1, (int(rows[0]) + 1, int(rows[-1]) + 1), own - usual, ratio))
+        found.append(BadLine(int(x) + 1, (int(rows[0]) + 1, int(rows[-1]) + 1), own - usual, ratio))
     return tuple(found)

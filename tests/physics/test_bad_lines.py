@@ -1,4 +1,4 @@
-"""Hot columns and such that lose charge, made in plain NumPy: they are named, and move nothing else."""
+"""Hot columns and rows, and such that lose charge, in plain NumPy: they are named, and move nothing else."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax.mechanisms import MECHANISMS
-from cannoise_jax.physics.transfer.bad_columns import line_means_without
+from cannoise_jax.physics.transfer.bad_lines import line_means_without
 from cannoise_jax.physics.transfer.estimate import NotMeasurable
 from cannoise_jax.physics.transfer.faults import faults
 from cannoise_jax.physics.transfer.frames import frame_statistics
@@ -17,9 +17,12 @@ SIZE, GAIN, READ_E, BLACK, PRNU = (96, 128), 0.8, 3.5, 500.0, 0.006
 HOT, WEAK, HALF = 100, 40, 77
 
 
-def statistics(bad: bool, fixed: float = 0.0, gains: float = 0.0, seed: int = 1, dead: tuple = ()):
+def statistics(
+    bad: bool, fixed: float = 0.0, gains: float = 0.0, seed: int = 1, dead: tuple = (), turned: bool = False
+):
     """Flats of two levels in vignetted light and biases. bad: with one column 300 DN higher, one of 30 % and
-    half a column of 50 % of the light; fixed, gains: of Gaussian populations of columns, DN and relative."""
+    half a column of 50 % of the light; fixed, gains: of Gaussian populations of columns, DN and relative.
+    turned: frames whose rows are the columns."""
     rng = np.random.default_rng(seed)
     y, x = np.meshgrid(*(np.linspace(-1, 1, n) for n in SIZE), indexing="ij")
     response = (1 + PRNU * rng.standard_normal(SIZE)) * (1 + gains * rng.standard_normal(SIZE[1]))
@@ -37,6 +40,7 @@ def statistics(bad: bool, fixed: float = 0.0, gains: float = 0.0, seed: int = 1,
             (frames, *SIZE)
         )
         codes = np.rint(offsets + GAIN * charge).astype(np.uint16)
+        codes = codes.transpose(0, 2, 1) if turned else codes
         seconds = 1.0 if kind == "flat" else 0.0
         taken = Recording(codes, "MONO", (BLACK,) * 4, 65535.0, "made", kind, exposure_s=seconds)
         out.append(frame_statistics(taken))
@@ -48,8 +52,9 @@ def strength(stats, transfer, name):
     return next(iter(found.values()))
 
 
-def test_bad_columns_move_neither_levels_nor_populations_of_columns():
-    stats = statistics(bad=True)
+@pytest.mark.parametrize("turned", (False, True), ids=("columns", "rows"))
+def test_bad_lines_move_neither_levels_nor_populations_of_lines(turned):
+    stats = statistics(bad=True, turned=turned)
     transfer = of_all_pixels(transfer_at(stats))
     found = {(q.name, q.unit): q.outcome for q in transfer.quantities}
     assert found["black level", "DN"].value == pytest.approx(BLACK, abs=0.1)
@@ -58,17 +63,19 @@ def test_bad_columns_move_neither_levels_nor_populations_of_columns():
     assert found["temporal dark noise", "e-"].value == pytest.approx(READ_E, rel=0.03)
     assert found["DSNU1288", "DN"].value == pytest.approx(1.0, rel=0.05)
     assert found["PRNU1288", "%"].value == pytest.approx(100 * PRNU, rel=0.05)
-    for name in ("column_fpn", "column_gain"):
+    for name in ("row_fpn",) if turned else ("column_fpn", "column_gain"):
         assert strength(stats, transfer, name).by_chance > 3e-4, name
     assert strength(stats, transfer, "prnu").value == pytest.approx(PRNU, rel=0.05)
     assert isinstance(MECHANISMS["dead_pixels"].estimator(stats, transfer.baseline), NotMeasurable)
 
 
-def test_bad_columns_are_named_with_what_they_are():
-    said = faults(statistics(bad=True)).columns
-    assert "41 (30 % of the light)" in said and "101 (+300 DN in the darks)" in said
-    assert "78 (50 % of the light, rows" in said and "to 96)" in said
-    assert faults(statistics(bad=False)).columns == ""
+@pytest.mark.parametrize("turned", (False, True), ids=("columns", "rows"))
+def test_bad_lines_are_named_with_what_they_are(turned):
+    said = faults(statistics(bad=True, turned=turned)).lines
+    line, part = ("rows", "columns") if turned else ("columns", "rows")
+    assert said.startswith(f"bad {line} 41 (30 % of the light)") and "101 (+300 DN in the darks)" in said
+    assert f"78 (50 % of the light, {part}" in said and "to 96)" in said
+    assert faults(statistics(bad=False)).lines == ""
 
 
 def test_a_dead_pixel_of_a_bad_column_is_dead():
