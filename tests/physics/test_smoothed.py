@@ -18,12 +18,14 @@ from cannoise_jax.recordings.recording import CaptureSet, Recording
 SIZE, FRAMES = (80, 112), 8
 
 
-def recorded(change=lambda frames: frames, lights=((0.1, 8000.0),), seed=0, more=0.0, egain=None):
+def recorded(
+    change=lambda frames: frames, lights=((0.1, 8000.0),), seed=0, more=0.0, egain=None, count=FRAMES
+):
     """Flats and darks of 0.5 DN/e- and 4 e- of read noise. change: what is done to frames before they are
     stored; more: read noise beside it, DN; lights: seconds and electrons of flats."""
     rng, out = np.random.default_rng(seed), []
     for kind, (seconds, light) in (("dark", (0.1, 0.0)), *(("flat", at) for at in lights)):
-        charge = rng.poisson(light, (FRAMES, *SIZE)) + 4.0 * rng.standard_normal((FRAMES, *SIZE))
+        charge = rng.poisson(light, (count, *SIZE)) + 4.0 * rng.standard_normal((count, *SIZE))
         codes = np.rint(change(300 + 0.5 * charge + more)).clip(0, 65535).astype(np.uint16)
         stated = {"exposure_s": seconds, "egain": egain}
         out.append(Recording(codes, "MONO", (300.0,) * 4, 65535.0, "c", kind, code_step=1.0, **stated))
@@ -45,6 +47,39 @@ def test_smoothed_frames_are_said_and_have_no_noise_of_lines(change):
     findings = find_mechanisms(transfer.statistics, transfer.baseline, LISTED)
     there = {f.mechanism for f in findings if f.measured is not None}
     assert there <= {"prnu", "dsnu"}
+
+
+def clamped(frames):
+    """To the largest of the eight about each pixel, as firmware does to hot pixels."""
+    about = np.ones((1, 3, 3), bool)
+    about[0, 1, 1] = False
+    return np.minimum(frames, ndimage.maximum_filter(frames, footprint=about))
+
+
+def median_of_loud(frames):
+    middle = ndimage.median_filter(frames, (1, 3, 3))
+    return np.where(frames > middle + 25, middle, frames)
+
+
+@pytest.mark.parametrize("change", [clamped, median_of_loud])
+def test_filters_of_loud_pixels_are_said_and_are_no_crosstalk(change):
+    (transfer,) = photon_transfer(recorded(change, count=2 * FRAMES))
+    assert any("frames were filtered" in line for line in doubts(transfer))
+    findings = find_mechanisms(transfer.statistics, transfer.baseline, LISTED)
+    assert "crosstalk" not in {f.mechanism for f in findings if f.measured is not None}
+
+
+def test_charge_that_spreads_is_no_filter():
+    spread = np.outer((0.12, 0.76, 0.12), (0.12, 0.76, 0.12))  # of a Gaussian, to the diagonals as well
+    rng, frames = np.random.default_rng(2), []
+    for kind, light in (("dark", 0.0), ("flat", 16000.0)):
+        charge = ndimage.convolve(rng.poisson(light, (FRAMES, *SIZE)).astype(float), spread[None])
+        codes = np.rint(300 + 0.5 * (charge + 4.0 * rng.standard_normal(charge.shape))).astype(np.uint16)
+        frames.append(Recording(codes, "MONO", (300.0,) * 4, 65535.0, "c", kind, code_step=1.0))
+    (transfer,) = photon_transfer(CaptureSet("c", tuple(frames)))
+    assert not any("filtered" in line for line in doubts(transfer))
+    findings = find_mechanisms(transfer.statistics, transfer.baseline, LISTED)
+    assert "crosstalk" in {f.mechanism for f in findings if f.measured is not None}
 
 
 def test_noise_of_rows_and_columns_and_waves_is_no_smoothing():

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cannoise_jax.physics.transfer.estimators.neighbours import lag_covariances
+from cannoise_jax.physics.transfer.estimators.neighbours import filtered, lag_covariances
 from cannoise_jax.physics.transfer.estimators.pick import brightest_flat, darkest
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 
@@ -37,8 +37,24 @@ def smoothed(statistics: Sequence[FrameStatistics]) -> str:
 
 
 def flats_alike(statistics: Sequence[FrameStatistics]) -> str:
-    """The same of flats, whose light may move as well: then pixels further apart are alike too."""
-    return _said(_alike(brightest_flat(statistics), _FLAT)) or flats_moving(statistics)
+    """The same of flats, whose light may move as well: then pixels further apart are alike too. Empty where
+    no flat tells."""
+    flat = brightest_flat(statistics)
+    return _said(_alike(flat, _FLAT)) or flats_moving(statistics) or _filtered(flat)
+
+
+def _filtered(flat: FrameStatistics | None) -> str:
+    """That pixels of one colour share as much of their noise along the diagonals as beside each other."""
+    step = 1 if flat is not None and flat.recording.cfa == "MONO" else 2
+    if flat is None or min(flat.recording.size) < 2 * _AWAY[-1]:
+        return ""
+    if not filtered(flat, step):
+        return ""
+    return (
+        "the noise of neighbours in the flats is as much alike along the diagonals as beside them: frames "
+        "were filtered (a median, or loud pixels clamped to those about them): the gain is not to be "
+        "trusted, record raw frames"
+    )
 
 
 def flats_moving(statistics: Sequence[FrameStatistics]) -> str:

@@ -40,6 +40,8 @@ def crosstalk(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates
     if min(flat.recording.size) < _LEAST_BESIDE:
         return _larger(_LEAST_BESIDE)
     shot = lag_covariances(flat)
+    if filtered(flat):
+        return _FILTERED
     read = lag_covariances(dark) if dark is not None else None
     signal = mosaic_map(per_channel(np.maximum(flat.level, 1.0)), flat.recording.size).astype(np.float64)
     variance = _channel_map(flat) - (_channel_map(dark) if dark is not None else 0.0)
@@ -70,6 +72,35 @@ def crosstalk(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates
     return {"fraction": _through(given, float(rho), float(stderr))}
 
 
+def filtered(s: FrameStatistics, step: int = 1) -> bool:
+    """Whether the noise of neighbours, `step` pixels apart, is as much alike along the diagonals as along
+    rows and columns: charge goes to the nearest first, but a median, or a clamp to the largest, takes values from
+    all about. What pixels further apart share, as under a light that moves, does not count."""
+    groups = (
+        ((0, step), (step, 0)),
+        ((step, step), (step, -step)),
+        ((0, _APART * step), (_APART * step, 0)),
+    )
+    found = lag_covariances(s, tuple(lag for group in groups for lag in group))
+    values, errors = np.array([np.transpose([found[lag] for lag in group]) for group in groups]).swapaxes(
+        0, 1
+    )
+    beside, across = (values[n].mean() - values[2].mean() for n in (0, 1))
+    rest = np.linalg.norm(errors[[1, 2]] / 2)  # near ones enter by a part of it, and are as sure
+    sure = across - _SURE * float(rest) > _AS_DIAGONAL * beside
+    return sure and bool(np.all(values[0] - values[2].mean() > _SURE * errors[0]))
+
+
+_APART = 4
+"""Pixels that neither charge nor a filter reaches across."""
+_AS_DIAGONAL, _SURE = 0.6, 3.0
+"""Of what neighbours beside each other share, what those along the diagonals do from which on no charge went
+there: where a pixel keeps 60 % of it and the rest spreads as a Gaussian, it is 0.55. Standard errors by which
+it has to be more."""
+_FILTERED = NotMeasurable(
+    "neighbours in the flats are as much alike along the diagonals as beside each other: frames were "
+    "filtered (a median, or loud pixels clamped to those about them), which no charge does: record raw frames"
+)
 _MOST_GIVEN = 0.6
 """Share of the charge given away, the largest: of a larger one neighbours are no more alike."""
 _NO_CROSSTALK = NotMeasurable(
