@@ -204,7 +204,7 @@ ENTRIES: tuple[Entry, ...] = (
                 parameter="weight", least=looks.covariance.blended,
                 covers=looks.COVERS_NOTHING),
         ),
-        estimator=Estimator(neighbours.in_camera_denoising, least=0.01, smooths=True, white=True),
+        estimator=Estimator(neighbours.in_camera_denoising, least=0.01, smooths=neighbours.kept, white=True),
         examples=Examples("lags", shown={"weight": 0.4}, strong={"weight": 0.4},
                           cases=(Case({"weight": 0.15}, DARK), Case({"weight": 0.45}, DARK, note="strong"),
                           Case({"weight": 0.5}, DARK, note="eighths of a code"))),

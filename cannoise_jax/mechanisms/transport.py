@@ -10,7 +10,7 @@ from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Context, Mechanism, Parameter, effect_in_dn
 from cannoise_jax.physics.core.mosaic_ops import neighbour_mean, shifted
 from cannoise_jax.physics.transfer.estimator import Estimator
-from cannoise_jax.physics.transfer.estimators import neighbours
+from cannoise_jax.physics.transfer.estimators import lag, neighbours
 from cannoise_jax.vocabulary import Term
 
 
@@ -154,11 +154,13 @@ ENTRIES: tuple[Entry, ...] = (
              "A frame keeps part of the charge of the frame before it.",
              14, "sensor", "1", "fraction of the charge left behind", listed=45),
         IMAGE_LAG,
-        needs="a burst with a change from bright to dark",
+        needs="three frames or more of a flat, one after the other; a change from bright to dark tells more",
         signatures=lambda recorded: (
             looks.memory.lag(recorded, name="lag_in_time", before=looks.SLOW, lifted_by=imprints.LAG),
         ),
-        examples=Examples("temporal", shown={"fraction": 0.15}, strong={"fraction": 0.2}),
+        estimator=Estimator(lag.image_lag, least=5e-3, smooths=lag.kept, white=True),
+        examples=Examples("temporal", shown={"fraction": 0.15}, strong={"fraction": 0.2},
+                          cases=(Case({"fraction": 0.03}, FLAT),)),
     ),
     Entry(
         Term("smear",
@@ -185,7 +187,7 @@ ENTRIES: tuple[Entry, ...] = (
                 camera="crosstalk", parameter="fraction", partner=looks.SHARED,
                 template=looks.covariance.GIVEN, covers=(*looks.SCENES, looks.SHARED)),
         ),
-        estimator=Estimator(neighbours.crosstalk, least=5e-3, smooths=True, white=True),
+        estimator=Estimator(neighbours.crosstalk, least=5e-3, smooths=neighbours.kept, white=True),
         examples=Examples("lags", shown={"fraction": 0.15}, strong={"fraction": 0.3},
                           cases=(Case({"fraction": 0.03}, FLAT),)),
     ),

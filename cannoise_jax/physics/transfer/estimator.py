@@ -41,8 +41,9 @@ class Estimator:
       the recordings that it needs; strengths hold at the setting of those (exposure-driven ones per second).
     least: least strength that matters, in its unit; None: 2 % of a pixel's noise in the dark. neutral: the
       strength at which nothing differs from the baseline. exact: a value of the code lattice, without error.
-    searched: the strongest of many frequencies. smooths: it has lowered the noise that the baseline is
-      measured on. in_baseline: it is the baseline itself, and not asked for. reported: why it never enters.
+    searched: the strongest of many frequencies. smooths(strength, statistics) -> what it has left of
+      the noise that the baseline is measured on, as a share of the variance; None: all.
+    in_baseline: it is the baseline itself, and not asked for. reported: why it never enters.
     white: it takes noise that is not what it looks for to be alike in no two pixels (`smoothed`).
     gives_way_to: ids beside which it does not enter. without(statistics, baseline, estimates) -> the
       recordings less what it adds to them. frozen: it is of what frames have in common, and measured on what
@@ -64,7 +65,7 @@ class Estimator:
     neutral: float = 0.0
     exact: bool = False
     searched: bool = False
-    smooths: bool = False
+    smooths: Callable[[Any, Statistics], Any] | None = None
     in_baseline: bool = False
     white: bool = False
     reported: str = ""

@@ -166,15 +166,15 @@ def without_repetition(
     """The model with a baseline that leaves out what its mechanisms add or take away; dark charge:
     `without_charge`.
 
-    Photon transfer measures the baseline on frames that show all mechanisms. Crosstalk and in-camera
-    denoising have lowered the slope of the variance, the second also the read noise; telegraph pixels that
-    the rule for outliers keeps have raised the read noise. What was found in electrons stays the same in DN.
+    Photon transfer measures the baseline on frames that show all mechanisms. Crosstalk, image lag and
+    in-camera denoising have lowered the slope of the variance, the last also the read noise; telegraph pixels
+    that the rule for outliers keeps have raised the read noise. What was found in electrons stays the same in
+    DN.
     """
     gain, read = np.asarray(model.gain_dn_per_e), np.asarray(model.read_noise_e) * model.gain_dn_per_e
     for fitted in model.mechanisms:
-        if estimators[fitted.mechanism].smooths:
-            share = next(iter(fitted.parameters.values()))
-            kept = (1 - share) ** 2 + share**2 / 4  # of the variance of white noise
+        if smooths := estimators[fitted.mechanism].smooths:
+            kept = smooths(next(iter(fitted.parameters.values())), statistics)
             gain = gain / kept
             read = read if fitted.record.acts_on == "charge" else read / np.sqrt(kept)
         dark = darkest(statistics)

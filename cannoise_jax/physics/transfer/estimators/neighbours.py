@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import optimize
 
-from cannoise_jax.physics.transfer.estimate import Estimates, NotMeasurable, normal_estimate
+from cannoise_jax.physics.transfer.estimate import Estimate, Estimates, NotMeasurable, normal_estimate
 from cannoise_jax.physics.transfer.estimators.pick import (
     brightest_flat,
     darkest,
@@ -26,6 +26,11 @@ means alone take half of the variance of rows of four."""
 
 def _larger(least: int) -> NotMeasurable:
     return NotMeasurable(f"record frames of at least {least} rows and {least} columns")
+
+
+def kept(share: float, statistics: Sequence[FrameStatistics] = ()) -> float:
+    """Of the variance of white noise, what is left where this share goes to the four about a pixel."""
+    return (1 - share) ** 2 + share**2 / 4
 
 
 def crosstalk(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
@@ -62,20 +67,20 @@ def crosstalk(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates
     rho, stderr = np.sum(seen) / np.sum(reach), float(np.linalg.norm(errors)) / np.sum(reach)
 
     def shared(a: float) -> float:
-        return (1 - a) * a / 4 / ((1 - a) ** 2 + a**2 / 4)
+        return (1 - a) * a / 4 / kept(a)
 
     def given(r: float) -> float:
-        return _solved(shared, r, _MOST_GIVEN)
+        return solved(shared, r, _MOST_GIVEN)
 
     if abs(rho) > shared(_MOST_GIVEN):
         return _NO_CROSSTALK
-    return {"fraction": _through(given, float(rho), float(stderr))}
+    return {"fraction": through(given, float(rho), float(stderr))}
 
 
 def filtered(s: FrameStatistics, step: int = 1) -> bool:
     """Whether the noise of neighbours, `step` pixels apart, is as much alike along the diagonals as along
-    rows and columns: charge goes to the nearest first, but a median, or a clamp to the largest, takes values from
-    all about. What pixels further apart share, as under a light that moves, does not count."""
+    rows and columns: charge goes to the nearest first, but a median, or a clamp to the largest, takes values
+    from all about. What pixels further apart share, as under a light that moves, does not count."""
     groups = (
         ((0, step), (step, 0)),
         ((step, step), (step, -step)),
@@ -209,7 +214,7 @@ def lag_covariances(
     totals = dict.fromkeys(lags, 0.0)
     squares = dict.fromkeys(lags, 0.0)
     height, width = (n - 2 * margin for n in s.recording.size)
-    for rest in _residuals(s):
+    for rest in residuals(s):
         rest = rest[margin : margin + height, margin : margin + width]
         for dy, dx in lags:
             first, second = max(-dx, 0), max(dx, 0)
@@ -228,7 +233,7 @@ def lag_covariances(
     return out
 
 
-def _residuals(s: FrameStatistics) -> Iterator[Float[np.ndarray, "H W"]]:
+def residuals(s: FrameStatistics) -> Iterator[Float[np.ndarray, "H W"]]:
     """Frames with rows brought to a common level, less their average; outliers cut at eight sigma."""
     total, count = np.zeros(s.mean.shape), s.recording.count
     for frame in steady_frames(s):
@@ -246,13 +251,14 @@ def _channel_map(s: FrameStatistics) -> Float[np.ndarray, "H W"]:
     return mosaic_map(per_channel(np.array(means)), s.recording.size).astype(np.float64)
 
 
-def _solved(function, target: float, top: float) -> float:
+def solved(function, target: float, top: float) -> float:
     """The parameter at which a rising function of it reaches `target`; odd below zero."""
     if target < 0:
-        return -_solved(function, -target, top)
+        return -solved(function, -target, top)
     return float(optimize.brentq(lambda a: function(a) - target, 0.0, top)) if target < function(top) else top
 
 
-def _through(inverse, value: float, stderr: float):
+def through(inverse, value: float, stderr: float) -> Estimate:
+    """The estimate of a parameter that a measured value tells by `inverse`, and its standard error."""
     slope = (inverse(value + stderr) - inverse(value - stderr)) / (2 * max(stderr, 1e-15))
     return normal_estimate(inverse(value), stderr * slope)
