@@ -3,11 +3,14 @@ there."""
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy import ndimage
 
 from cannoise_jax.mechanisms import LISTED
+from cannoise_jax.physics.transfer.clamped import clamped as clamped_line
 from cannoise_jax.physics.transfer.doubts import doubts
 from cannoise_jax.physics.transfer.frames import frame_statistics
 from cannoise_jax.physics.transfer.model import find_mechanisms
@@ -61,12 +64,60 @@ def median_of_loud(frames):
     return np.where(frames > middle + 25, middle, frames)
 
 
-@pytest.mark.parametrize("change", [clamped, median_of_loud])
+def median_of_few(frames):
+    middle = ndimage.median_filter(frames, (1, 3, 3))
+    return np.where(frames > middle + 70, middle, frames)
+
+
+@pytest.mark.parametrize("change", [clamped, median_of_loud, median_of_few])
 def test_filters_of_loud_pixels_are_said_and_are_no_crosstalk(change):
     (transfer,) = photon_transfer(recorded(change, count=2 * FRAMES))
-    assert any("frames were filtered" in line for line in doubts(transfer))
+    said = " ".join(doubts(transfer))
+    assert ("loud pixels were clamped" if change is clamped else "frames were filtered") in said
     findings = find_mechanisms(transfer.statistics, transfer.baseline, LISTED)
     assert "crosstalk" not in {f.mechanism for f in findings if f.measured is not None}
+
+
+def both_sides(frames):
+    return -clamped(-clamped(frames))
+
+
+def by_colour(frames):
+    out = frames.copy()
+    for y, x in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        out[:, y::2, x::2] = clamped(frames[:, y::2, x::2])
+    return out
+
+
+@pytest.mark.parametrize(
+    ("change", "cfa", "what"),
+    [
+        (both_sides, "MONO", "loud and dark"),
+        (by_colour, "RGGB", "loud"),
+        (lambda f: -clamped(-f), "MONO", "dark"),
+    ],
+)
+def test_which_pixels_were_clamped_is_said(change, cfa, what):
+    capture = recorded(change)
+    of_colour = tuple(dataclasses.replace(r, cfa=cfa) for r in capture.recordings)
+    (transfer,) = photon_transfer(CaptureSet("c", of_colour))
+    assert any(f"{what} pixels were clamped" in line for line in doubts(transfer))
+
+
+def test_steep_light_and_lines_are_not_clamped():
+    steep = 400.0 * np.arange(SIZE[1])
+    rows = 200.0 * np.random.default_rng(1).standard_normal((FRAMES, SIZE[0], 1))
+    for more in (steep, rows):
+        flat = recorded(more=more).recordings[1]
+        assert clamped_line(frame_statistics(flat)) == ""
+
+
+@pytest.mark.parametrize("axis", (1, 2), ids=("down", "across"))
+def test_frames_smoothed_along_one_axis_are_said(axis):
+    (transfer,) = photon_transfer(recorded(lambda f: 0.8 * f + 0.2 * np.roll(f, 1, axis)))
+    assert any("processed, not raw" in line for line in doubts(transfer))
+    findings = find_mechanisms(transfer.statistics, transfer.baseline, LISTED)
+    assert not {"crosstalk", "pink_noise"} & {f.mechanism for f in findings if f.measured is not None}
 
 
 def test_charge_that_spreads_is_no_filter():

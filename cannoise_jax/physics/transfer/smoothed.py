@@ -10,6 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
+from cannoise_jax.physics.transfer.clamped import clamped
 from cannoise_jax.physics.transfer.estimators.neighbours import filtered, lag_covariances
 from cannoise_jax.physics.transfer.estimators.pick import brightest_flat, darkest
 from cannoise_jax.physics.transfer.frames import FrameStatistics
@@ -24,15 +27,19 @@ _APART, _MOVING, _SIGMAS = 4, 0.1, 5.0
 so much of the noise the gain is too large. Standard errors by which it has to be more."""
 _AWAY = (7, 8)
 """Pixels from which on filters reach no further."""
+_ONE_WAY = 0.5
+"""Of the correlation along one axis, that along the other up to which frames are smoothed one way."""
 
 
 def smoothed(statistics: Sequence[FrameStatistics]) -> str:
-    """That the noise of neighbours in darks is alike as no sensor makes it, and what to record; empty where
-    it is not."""
-    alike = _alike(darkest(statistics), _DARK)
-    return alike and (
-        f"the frames are processed, not raw: {alike}, as after smoothing, scaling or filling in of "
-        "colours; gain and noise are those of the smoothed codes: record raw frames"
+    """That the noise of neighbours in darks is alike as no sensor makes it, or that in flats along one axis,
+    or that no pixel of these is above all about it, and what to record; empty where it is not."""
+    flat, dark = brightest_flat(statistics), darkest(statistics)
+    alike = _alike(dark, _DARK) or _one_way(flat, dark)
+    how = f"{alike}, as after smoothing, scaling or filling in of colours" if alike else clamped(flat)
+    return how and (
+        f"the frames are processed, not raw: {how}; gain and noise are those of the codes that were made of "
+        "them: record raw frames"
     )
 
 
@@ -88,20 +95,34 @@ def moving(s: FrameStatistics) -> str:
 def _alike(s: FrameStatistics | None, least: float) -> str:
     if s is None or min(s.recording.size) < 2 * _AWAY[-1]:
         return ""
-    across, down = _shared(s)
-    if min(across, down) < least:
+    power, across, down = _shared(s)
+    return _of_neighbours(s, across / power, down / power) if min(across, down) >= least * power else ""
+
+
+def _one_way(flat: FrameStatistics | None, dark: FrameStatistics | None) -> str:
+    """The same of a flat whose shot noise neighbours share along one axis: charge goes both ways, and the
+    noise of rows or columns is no shot noise."""
+    if flat is None or min(flat.recording.size) < 2 * _AWAY[-1]:
         return ""
+    power, *along = np.array(_shared(flat)) - (0.0 if dark is None else np.array(_shared(dark)))
+    least, most = min(along), max(along)
+    if most < _DARK * power or least > _ONE_WAY * most:
+        return ""
+    return _of_neighbours(flat, along[0] / power, along[1] / power)
+
+
+def _of_neighbours(s: FrameStatistics, across: float, down: float) -> str:
     kind = f"{s.recording.kind}s" if s.recording.kind != "bias" else "biases"
     return f"the noise of neighbours in the {kind} is alike by {across:.2f} across and {down:.2f} down"
 
 
-def _shared(s: FrameStatistics) -> tuple[float, float]:
-    """Correlation with the next pixel across and down, less the largest some pixels away."""
+def _shared(s: FrameStatistics) -> tuple[float, float, float]:
+    """Variance, and covariance with the next pixel across and down less the largest some pixels away."""
     far = tuple(lag for n in _AWAY for lag in ((0, n), (n, 0)))
     found = lag_covariances(s, ((0, 0), (0, 1), (1, 0), *far))
-    power = max(found[0, 0][0], 1e-12)
 
     def over(near: tuple[int, int], away: list[tuple[int, int]]) -> float:
-        return (found[near][0] - max(abs(found[lag][0]) for lag in away)) / power
+        return found[near][0] - max(abs(found[lag][0]) for lag in away)
 
-    return over((0, 1), [(0, n) for n in _AWAY]), over((1, 0), [(n, 0) for n in _AWAY])
+    power = max(found[0, 0][0], 1e-12)
+    return power, over((0, 1), [(0, n) for n in _AWAY]), over((1, 0), [(n, 0) for n in _AWAY])

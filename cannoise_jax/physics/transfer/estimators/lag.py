@@ -1,8 +1,9 @@
 """What a frame shares with the one before it: charge that stays in the pixel, or an average over time.
 
 A share k of the charge that comes with the next frame leaves (1-k)^2 + k^2 of the variance of white noise,
-and k (1-k) between a frame and the next. Light that moves slowly is alike over many frames, so that of the
-covariance with the next frame that with all later ones is taken off.
+and k (1-k) between a frame and the next. Light that moves is alike in pixels some way apart, so that their
+differences are looked at; what pixels have over many frames each, as telegraph pixels do, is not that of two,
+so that of the covariance with the next frame that with all later ones is taken off.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from cannoise_jax.physics.transfer.estimate import Estimates, NotMeasurable
 from cannoise_jax.physics.transfer.estimators.neighbours import residuals, solved, through
@@ -20,11 +22,16 @@ from cannoise_jax.physics.transfer.smoothed import moving
 
 _LEAST_FRAMES = 3
 """Frames of which some do not follow each other."""
+_WIDE = 16
+"""Columns that tell pixels apart."""
 _MOST_LEFT = 0.45
 """Share left behind beyond which more comes late than in time."""
 _AS_DARK, _SURE = 0.5, 5.0
 """Of the correlation in flats, that in darks from which on it is no charge: their noise is none. Standard
 errors by which it has to be there."""
+_APART, _OVERLAP = 4, 1.5
+"""Pixels apart, and by how much the variance of a sum over products of such differences is larger than of
+independent ones: each pixel is in two, whose products correlate by a quarter."""
 _TOO_ALIKE = NotMeasurable(
     "frames that follow each other are more alike than charge left behind makes them: the light moves, or "
     "frames are averaged over time: record raw frames of a steady light"
@@ -64,6 +71,8 @@ def image_lag(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates
         return NotMeasurable(
             f"record at least {_LEAST_FRAMES} frames of a flat, one after the other, better 16"
         )
+    if flat.recording.size[1] <= _WIDE:
+        return NotMeasurable(f"record frames of more than {_WIDE} columns")
     if moving(flat):
         return _TOO_ALIKE
     lit = _shared(flat)
@@ -88,21 +97,40 @@ def _late(share: float) -> float:
 def _shared(s: FrameStatistics) -> _Shared:
     """Covariance with the next frame less that with later ones, over all pixels."""
     next_ones, square, spread, before = 0.0, 0.0, 0.0, None
-    for rest in residuals(s):
+    for frame in residuals(s):
+        rest = (frame[:, _APART:] - frame[:, :-_APART]) / np.sqrt(2)
         square += float(np.sum(rest**2))
         if before is not None:
             product = rest * before
             next_ones += float(product.sum())
             spread += float(np.sum(product**2))
         before = rest
-    count, pixels = s.recording.count, s.mean.size
+    count, pixels = s.recording.count, s.mean.size - _APART * len(s.mean)
     pairs, others = count - 1, (count - 1) * (count - 2) // 2
     # All frames add up to nothing: what pairs share, over all of them, is half of what each has, less.
     later = -square / 2 - next_ones
-    seen = 1 - 1 / (pairs * count / 2)  # the mean that was taken out of the frames holds some of it
-    value = (next_ones / pairs - later / others) / pixels / seen
-    error = np.sqrt(spread / pairs * (1 / pairs + 1 / others)) / pixels / seen
+    value = (next_ones / pairs - later / others) / pixels / _seen(count)
+    error = np.sqrt(_OVERLAP * spread / pairs / pixels * _doubt(count) / pixels) / _seen(count)
     return _Shared(value, float(error), square / pixels / pairs + _in_mean(value, count))
+
+
+def _weights(count: int) -> Float[np.ndarray, "T T"]:
+    """By which the products of frames, less their mean, are taken together."""
+    following = np.eye(count, k=1) + np.eye(count, k=-1)
+    others = 1 - np.eye(count) - following
+    mean = np.eye(count) - 1 / count
+    return mean @ (following / following.sum() - others / others.sum()) @ mean
+
+
+def _seen(count: int) -> float:
+    """Of what frames share with the next, what is left once the mean of all is taken out."""
+    return float(2 * np.trace(_weights(count), 1))
+
+
+def _doubt(count: int) -> float:
+    """Variance of the weighted products of independent frames, in the mean square of one product."""
+    product = (1 - 1 / count) ** 2 * (1 + 2 / (count - 1) ** 2)
+    return float(2 * np.sum(_weights(count) ** 2) / product)
 
 
 def _in_mean(shared: float, count: int) -> float:
