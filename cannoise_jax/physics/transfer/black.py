@@ -66,6 +66,18 @@ def reference_dark(statistics: Sequence[FrameStatistics]) -> FrameStatistics | N
     return min(repeated, key=order, default=None)
 
 
+def dark_like(
+    flat: FrameStatistics, statistics: Sequence[FrameStatistics], reference: FrameStatistics
+) -> FrameStatistics:
+    """The repeated dark as long as a flat; the one given where none is, or the flat stands above that."""
+    own = flat.recording.exposure_s if flat.dark_shot is None else None
+    darks = [s for s in statistics if s.recording.kind in DARK and s.variance is not None]
+    same = [
+        s for s in darks if own and s.recording.exposure_s and as_long(s.recording.exposure_s, own, darks)
+    ]
+    return max(same, key=lambda s: s.recording.count, default=reference)
+
+
 def flat_seconds(statistics: Sequence[FrameStatistics]) -> float | None:
     """The shortest exposure of the flats that any states."""
     flats = (s.recording.exposure_s for s in statistics if s.recording.kind == "flat")

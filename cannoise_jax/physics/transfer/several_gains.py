@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cannoise_jax.physics.transfer.black import as_long, reference_dark
+from cannoise_jax.physics.transfer.black import dark_like, reference_dark
 from cannoise_jax.physics.transfer.fit import median_quotient
 from cannoise_jax.physics.transfer.frames import FrameStatistics, of_variance
 from cannoise_jax.physics.transfer.full_well import below_full, full_signal
@@ -15,7 +15,6 @@ from cannoise_jax.physics.transfer.rails import LINEAR, below_rail
 from cannoise_jax.physics.transfer.smoothed import moving
 from cannoise_jax.physics.transfer.views import dark_shot, pixel_variance
 from cannoise_jax.recordings.packing import site
-from cannoise_jax.recordings.recording import DARK
 
 _RISES, _FALLS = 1.3, 1.8
 """Ratio of the gains of a brighter flat and of a dimmer one beyond which they are those of two settings. The
@@ -52,7 +51,7 @@ def several_gains(statistics: Sequence[FrameStatistics]) -> str:
     flats = [s for s in statistics if s.recording.kind == "flat" and s.variance is not None]
     if dark is None:
         return ""
-    seen = [g for s in flats if (g := _gain(s, _dark_of(s, statistics, dark))) is not None]
+    seen = [g for s in flats if (g := _gain(s, dark_like(s, statistics, dark))) is not None]
     worst: tuple[float, _Gain, _Gain] | None = None
     for dim in seen:
         for bright in seen:
@@ -85,7 +84,7 @@ def uneven_gain(statistics: Sequence[FrameStatistics], c: int) -> str:
     full, black = full_signal(lit, c), float(dark.frame_means[:, c].mean())
     flats = [s for s in lit if s.variance is not None and below_full(s, full, black, c)]
     seen = [
-        g for s in flats if (g := _gain(s, _dark_of(s, statistics, dark), (c,))) is not None and g.straight
+        g for s in flats if (g := _gain(s, dark_like(s, statistics, dark), (c,))) is not None and g.straight
     ]
     if len(seen) < 2:
         return ""
@@ -138,18 +137,6 @@ def _excess(dim: _Gain, bright: _Gain) -> float:
     room = _SIGMAS * float(np.hypot(bright.error, dim.error))
     falls = -change - np.log(_FALLS) if bright.straight else -np.inf
     return max(change - np.log(_RISES), falls) - room
-
-
-def _dark_of(
-    flat: FrameStatistics, statistics: Sequence[FrameStatistics], reference: FrameStatistics
-) -> FrameStatistics:
-    """The repeated dark as long as a flat; the one given where none is, or the flat stands above that."""
-    own = flat.recording.exposure_s if flat.dark_shot is None else None
-    darks = [s for s in statistics if s.recording.kind in DARK and s.variance is not None]
-    same = [
-        s for s in darks if own and s.recording.exposure_s and as_long(s.recording.exposure_s, own, darks)
-    ]
-    return max(same, key=lambda s: s.recording.count, default=reference)
 
 
 def _gain(flat: FrameStatistics, dark: FrameStatistics, channels: Sequence[int] = range(4)) -> _Gain | None:

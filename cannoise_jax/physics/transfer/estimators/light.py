@@ -25,6 +25,7 @@ from cannoise_jax.physics.transfer.estimators.waves import strongest_wave
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.full_well import below_full, full_codes, full_signal
 from cannoise_jax.physics.transfer.spatial import temporal_mean_square
+from cannoise_jax.physics.transfer.two_offsets import two_offsets
 from cannoise_jax.physics.transfer.views import pixel_variance
 from cannoise_jax.recordings.packing import site
 from cannoise_jax.recordings.recording import Recording
@@ -72,6 +73,8 @@ def nonlinearity(statistics: Sequence[FrameStatistics], baseline=None) -> Estima
     if len({_exposure(s.recording) for s in flats}) < 3:
         return _LEVELS
     darks = [black_of(statistics, s) for s in flats]
+    if told := two_offsets(statistics):
+        return NotMeasurable(told)
     for found in darks:
         if not found.certain:
             return NotMeasurable(f"black level {found.note}, or darks of three exposures")
