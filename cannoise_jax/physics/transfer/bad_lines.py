@@ -58,9 +58,11 @@ def bad_lines(
     temporal, of a usual pixel, DN: a line that lies less far from its neighbours moves nothing. black: level
     of a flat, whose dead lines are left."""
     turned = None if black is None else black[[0, 2, 1, 3]]  # channels of the frame turned over
-    columns, rows = _columns(mean, noise, black), _columns(mean.T, noise, turned).T
-    found = BadLines(columns & ~stuck, rows & ~stuck)
-    return found if found.pixels.any() else None
+    columns, rows = (
+        found & ~stuck if (found & ~stuck).mean() <= _MOST else np.zeros(mean.shape, bool)
+        for found in (_columns(mean, noise, black), _columns(mean.T, noise, turned).T)
+    )
+    return BadLines(columns, rows) if (columns | rows).any() else None
 
 
 def _columns(
@@ -88,16 +90,19 @@ def _columns(
         if odd.any():
             odd = ndimage.binary_dilation(odd, np.ones((3, 1), bool))  # a part of the next block is bad too
             site(out, c)[...] = np.repeat(odd, np.diff(edges), axis=0)
-    return out if out.mean() <= _MOST else np.zeros(mean.shape, bool)
+    return out
 
 
 def _beside(level: Float[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
-    """The medians of the columns to the left and to the right of each; for those beyond the first and the
-    last one a straight line stands."""
-    half = _ABOUT // 2
-    wide = np.pad(level, ((0, 0), (half, half)), mode="reflect", reflect_type="odd")
-    sides = np.median(np.lib.stride_tricks.sliding_window_view(wide, half, axis=1), axis=-1)
-    return sides[:, : level.shape[1]], sides[:, half + 1 :]
+    """The medians of the columns to the left and to the right of each; beyond the first and the last ones a
+    straight line through those inside stands."""
+    half, width = _ABOUT // 2, level.shape[1]
+    of_four = np.median(np.lib.stride_tricks.sliding_window_view(level, half, axis=1), axis=-1)
+    left, right = np.empty(level.shape), np.empty(level.shape)
+    left[:, half:], right[:, : width - half] = of_four[:, : width - half], of_four[:, 1:]
+    left[:, :half] = 2 * right[:, :half] - of_four[:, half + 1 : 2 * half + 1]
+    right[:, width - half :] = 2 * left[:, width - half :] - of_four[:, -2 * half - 1 : -half - 1]
+    return left, right
 
 
 def line_means_without(

@@ -188,6 +188,7 @@ def frame_statistics(recording: Recording, rounds: int = 2) -> FrameStatistics:
         if bad is not None:
             stuck = stuck | bad.pixels
             rows, columns = line_means_without(recording.frames, stuck, _CHUNK_BYTES)
+            mean, variance, total, clipped = _second_pass(recording, rows, columns, relative, low, high)
     frame_means = np.stack([rows[:, c // 2 :: 2, c % 2].mean(1) for c in range(4)], -1)
     count = recording.count
     dead = [count * int((site((mean == 0) & ~stuck, c)).sum()) for c in range(4)]

@@ -54,6 +54,7 @@ from cannoise_jax.physics.transfer.views import (
     pixel_variance,
     quiet_pixels,
     unlike_sites,
+    usual_variance,
     with_all_sites,
 )
 from cannoise_jax.recordings.packing import ALL, PACKED_CHANNELS, site, to_mosaic_order
@@ -66,6 +67,9 @@ _MANY = 256
 better with them."""
 _TELLS = 0.02
 """Relative error of a slope through flats alone up to which darks need not tell it."""
+_DARKER = 8.0
+"""Standard deviations of the dark below it from which on what a flat has is no pixel: a counter, or other
+data that a camera writes into its frames."""
 _TOLD = 4
 """Frames of a dark from which a pixel of three times the noise of the others is told, mostly."""
 
@@ -229,6 +233,8 @@ def _levels(
         signal = (site(s.mean, c) - black[c]) * site(of_variance(s), c)
         variance = pixel_variance(s, c) - dark_shot(s, c) - rounding_beyond(s, site(s.mean, c), step)
         usable = below_rail(s, c)
+        if dark is not None and dark.variance is not None:  # no light makes a pixel darker than the dark
+            usable &= signal > -_DARKER * np.sqrt(usual_variance(dark, c) + step**2)
         if usable.mean() > _ENOUGH:
             if (usable & quiet).sum() >= _MANY:
                 usable = usable & quiet
