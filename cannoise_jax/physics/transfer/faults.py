@@ -14,6 +14,7 @@ from cannoise_jax.physics.transfer.estimators.own_charge import holds_charge
 from cannoise_jax.physics.transfer.estimators.pick import brightest_flat
 from cannoise_jax.physics.transfer.fit import Line
 from cannoise_jax.physics.transfer.frames import FrameStatistics
+from cannoise_jax.physics.transfer.lost_bit import lost_bit
 from cannoise_jax.physics.transfer.quantities import SET_ASIDE, set_aside
 from cannoise_jax.physics.transfer.rails import STILL, contradicted_black, cut_off
 from cannoise_jax.physics.transfer.regions import uneven_halves, uneven_noise
@@ -38,13 +39,14 @@ class Faults(NamedTuple):
     each, empty where they do not.
 
     cut_off: darks show neither read noise nor black level. above: hardly a pixel of theirs stays below the
-    white level. unlike: flats and darks are of two gains. moves: scenes tell no gain. doubted: flats tell one
-    that may be wrong. black: the stated black level is none of the darks'. colours: the greens of the stated
-    order are none. lights, charge: flats, or darks, contradict their exposures. codes: those of flats and
-    darks have not one scale. biases: they are no repeats of the darks. levels: frames of a dark lie at two.
-    flats: their light moves. unlit: no light reaches a part of a flat. longer: the read noise is that of long
-    darks. uneven: it, or the gain, differs between parts of the frame. defects: pixels that show nothing.
-    lines: columns and rows far from all others. shadows: of dust. spots: of light, that move over flats.
+    white level. unlike: flats and darks are of two gains. moves: scenes tell no gain. doubted: flats tell
+    one that may be wrong. black: the stated black level is none of the darks'. colours: the greens of the
+    stated order are none. lights, charge: flats, or darks, contradict their exposures. codes: those of
+    flats and darks have not one scale, or half of them never occur. biases: they are no repeats of the
+    darks. levels: frames of a dark lie at two. flats: their light moves. unlit: no light reaches a part of
+    a flat. longer: the read noise is that of long darks. uneven: it, or the gain, differs between parts of
+    the frame. defects: pixels that show nothing. lines: columns and rows far from all others. shadows: of
+    dust. spots: of light, that move over flats.
     """
 
     cut_off: str = ""
@@ -91,7 +93,7 @@ def faults(statistics: Sequence[FrameStatistics], lines: Sequence[Line | NotMeas
     return Faults(
         cut_off=cut_off(statistics), above=_above_white(statistics), unlike=several_gains(statistics),
         moves=moves, doubted=doubted, black=contradicted_black(statistics), colours=colours_line(parted),
-        lights=lights, charge=charge, codes=codes_line(parted),
+        lights=lights, charge=charge, codes=lost_bit(parted) or codes_line(parted),
         biases=unlike_biases(parted, slope) if drawn else "", levels=levels_line(statistics),
         flats=flats_moving(parted) if drawn else "", unlit=unlit_line(parted), longer=_longer(statistics),
         uneven=_uneven(parted), defects=defects_line(parted),

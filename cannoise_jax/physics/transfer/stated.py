@@ -51,7 +51,7 @@ def codes_line(statistics: Sequence[FrameStatistics]) -> str:
     known = [s for s in statistics if s.code_step > 0]
     flats, darks = ([s for s in known if (s.recording.kind in DARK) == of_dark] for of_dark in (False, True))
     for wide, fine in ((flats, darks), (darks, flats)):
-        if not (wide and fine):
+        if not (wide and fine) or _of_a_table(wide):
             return ""
         one, two = min(wide, key=lambda s: s.code_step), max(fine, key=lambda s: s.code_step)
         if one.code_step >= 2 * two.code_step:
@@ -61,6 +61,12 @@ def codes_line(statistics: Sequence[FrameStatistics]) -> str:
                 "gain and read noise are wrong with it"
             )
     return ""
+
+
+def _of_a_table(statistics: Sequence[FrameStatistics]) -> bool:
+    """Whether codes lie the further apart the more light there is, as those of a lossy format do."""
+    steps = [s.code_step for s in sorted(statistics, key=lambda s: float(np.mean(s.level)))]
+    return steps[0] < steps[-1] and steps == sorted(steps)
 
 
 def levels_line(statistics: Sequence[FrameStatistics]) -> str:

@@ -19,6 +19,7 @@ from cannoise_jax.physics.transfer.estimate import (
 )
 from cannoise_jax.physics.transfer.estimators.pick import column_offsets, darkest, repeated_darks
 from cannoise_jax.physics.transfer.frames import FrameStatistics
+from cannoise_jax.physics.transfer.lost_bit import lost_bit
 from cannoise_jax.recordings.codes import code_histogram, code_lattice, share_above
 
 _POPULATED = 50  # counts on both sides that make an empty code a missing one
@@ -40,6 +41,8 @@ def missing_codes(statistics: Sequence[FrameStatistics], baseline=None) -> Estim
     """period: median distance in code steps of codes that never occur between populated ones; phase: which
     of them; above: share of their values that the next code has; exact. Codes of a table or a digital gain
     lie further apart everywhere, or in a part of the range: no code of a converter is missing then."""
+    if why := lost_bit(statistics):
+        return NotMeasurable(why)
     histogram = np.sum([code_histogram(s.recording.frames) for s in statistics], axis=0)
     if why := spread_apart(histogram):
         return NotMeasurable(why, answered=True)
