@@ -101,3 +101,32 @@ def test_flats_of_another_offset_than_the_darks_are_told(offset):
 @pytest.mark.parametrize("loss", [0.0, 0.2])
 def test_flats_of_the_offset_of_the_darks_are_not(loss):
     assert not uneven_gain(flats_of(0.0, loss), 0).endswith(OF_TWO_OFFSETS)
+
+
+@pytest.mark.parametrize("white", [4095.0, 700.0])
+@pytest.mark.parametrize("power", [0.5, 1 / 2.2])
+def test_codes_of_a_square_root_are_a_tone_curve_whatever_is_white(white, power):
+    series = []
+    for k, (kind, electrons) in enumerate((("flat", 8000), ("flat", 16000), ("flat", 24000), ("bias", 0))):
+        rng = np.random.default_rng(k)
+        signal = 500 + 0.5 * (rng.poisson(electrons, (6, 64, 96)) + 6 * rng.standard_normal((6, 64, 96)))
+        codes = np.rint(700 * (signal / 13200) ** power).astype(np.uint16)
+        black = (700 * (500 / 13200) ** power,) * 4
+        series.append(
+            frame_statistics(Recording(codes, "MONO", black, white, kind=kind, exposure_s=float(1 + k)))
+        )
+    said = several_gains(series)
+    assert "tone curve" in said and "record raw data" in said
+
+
+def test_pixels_that_fill_up_are_no_tone_curve():
+    series = []
+    for k, electrons in enumerate((4000, 9000, 16000, 22000, 24000)):
+        rng = np.random.default_rng(k)
+        well = 25000 * (1 + 0.02 * rng.standard_normal((64, 96)))
+        charge = np.minimum(rng.poisson(electrons, (6, 64, 96)), well)
+        codes = np.rint(500 + 0.5 * (charge + 6 * rng.standard_normal(charge.shape))).astype(np.uint16)
+        series.append(frame_statistics(Recording(codes, "MONO", (500.0,) * 4, 16383.0, kind="flat")))
+    dark = np.rint(500 + 3 * np.random.default_rng(9).standard_normal((6, 64, 96))).astype(np.uint16)
+    series.append(frame_statistics(Recording(dark, "MONO", (500.0,) * 4, 16383.0, kind="bias")))
+    assert "tone curve" not in several_gains(series)

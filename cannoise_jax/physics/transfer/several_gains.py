@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +30,9 @@ _UNEVEN = 0.05
 OF_TWO_OFFSETS = (
     "flats and darks are of two offsets (black levels), record both with one, or the response bends"
 )
+_GROWS = 0.6
+"""Power of the signal with which shot noise (DN^2) grows from each flat to the next up to which values are
+none of the light: raw ones have 1, a square root 0. Pixels that fill up have less in the brightest alone."""
 _ENOUGH = 0.05
 """Share of the pixels of a flat that have to be below the rail."""
 
@@ -52,6 +56,8 @@ def several_gains(statistics: Sequence[FrameStatistics]) -> str:
     if dark is None:
         return ""
     seen = [g for s in flats if (g := _gain(s, dark_like(s, statistics, dark))) is not None]
+    if said := _of_a_curve(seen):
+        return said
     worst: tuple[float, _Gain, _Gain] | None = None
     for dim in seen:
         for bright in seen:
@@ -122,6 +128,26 @@ def _of_another_offset(seen: Sequence[_Gain]) -> tuple[float, float] | None:
     offset = -start / slope
     sure = np.sqrt(np.linalg.inv(terms.T @ terms)[1, 1]) / slope
     return (float(slope), float(offset)) if abs(offset) > _SIGMAS * sure else None
+
+
+def _of_a_curve(seen: Sequence[_Gain]) -> str:
+    """That the noise of three flats or more hardly grows with their light, from each to the next."""
+    if len({round(g.signal) for g in seen}) < 3 or any(moving(g.flat) for g in seen):
+        return ""
+    ordered = sorted(seen, key=lambda g: g.signal)
+    for dim, bright in pairwise(ordered):
+        light = float(np.log(bright.signal / dim.signal))
+        noise = light + float(np.log(bright.value / dim.value))
+        if noise + 3 * float(np.hypot(dim.error, bright.error)) > _GROWS * light:
+            return ""
+    first, last = ordered[0], ordered[-1]
+    names = [g.flat.recording.path or g.flat.recording.camera for g in (first, last)]
+    light = last.signal / first.signal
+    return (
+        f"{names[1]}: {light:.2g} times the signal of {names[0]}, and {light * last.value / first.value:.2g} "
+        "times its shot noise (DN^2): values of a tone curve (gamma, square root) tell no gain: record raw "
+        "data"
+    )
 
 
 def _steady(seen: Sequence[_Gain]) -> bool:
