@@ -20,6 +20,7 @@ from cannoise_jax.recordings.fits_readout import (
     binning_of,
     combined_of,
     doubted_count,
+    em_gain_of,
     pedestal_doubt,
     settings_of,
 )
@@ -85,6 +86,7 @@ def known_of(header: Mapping[str, Any]) -> dict[str, Any]:
         "iso": iso_of_gain(decibels) if iso is None and decibels is not None else iso,
         "gain_db": decibels if iso is None else None,
         "egain": _egain(header, decibels is not None or iso is not None),
+        "em_gain": em_gain_of(header),
         "exposure_s": next(iter(exposures_in(header).values()), None),
         "temperature_c": _celsius(number_in(header, _TEMPERATURES, COLDEST_C)),
     }

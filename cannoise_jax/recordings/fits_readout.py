@@ -13,9 +13,11 @@ from typing import Any
 from cannoise_jax.recordings.fits_cards import number_in, text_in
 
 NOT_STATED = ("", "none", "unknown", "n/a", "na", "-")
+EM_GAIN = ("EMREALGN", "EMGAIN", "EM-GAIN", "EM_GAIN", "EM GAIN")
+"""By how much charge is multiplied before it is read; Andor writes the real one and that asked for."""
 _GAIN = (
     *("GAINMODE", "GAIN_MOD", "GAINMOD", "CONVGAIN", "CGMODE", "PREAMP", "CAMGAIN", "CCDGAIN"),
-    *("EMGAIN", "EM-GAIN", "EM_GAIN", "EM GAIN", "EMREALGN", "EMMODE", "CNTCVTMD"),
+    *(*EM_GAIN, "EMMODE", "CNTCVTMD"),
 )
 _RATE = (
     *("READTIME", "READRATE", "READSPD", "READSPEE", "READSPEED", "RDSPEED", "RDRATE", "ROSPEED", "CCDSPEED"),
@@ -61,6 +63,14 @@ def settings_of(header: Mapping[str, Any]) -> Settings:
         found["GAIN"] = _said(header.get("GAIN"))
     found["PEDESTAL"] = found["PEDESTAL"] or "0"
     return tuple((name, said) for name, said in found.items() if said.lower() not in NOT_STATED)
+
+
+def em_gain_of(header: Mapping[str, Any]) -> float | None:
+    """By how much a header says that charge was multiplied; None where it does not, or another output was
+    read."""
+    if "conventional" in text_in(header, "OUTPTAMP").lower():
+        return None
+    return number_in(header, EM_GAIN, 0)
 
 
 def unlike(here: Settings | None, there: Settings | None) -> list[tuple[str, str, str]]:

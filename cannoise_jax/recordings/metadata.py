@@ -134,6 +134,7 @@ def make_recording(
         iso=optional_number(path, stated, "iso", least=0),
         gain_db=optional_number(path, stated, "gain_db", least=-MOST_DB, most=MOST_DB),
         egain=optional_number(path, stated, "egain", least=1e-6),
+        em_gain=optional_number(path, stated, "em_gain", least=0),
         full_code=optional_number(path, stated, "full_code", least=0),
         exposure_s=exposure_of(path, stated),
         temperature_c=optional_number(path, stated, "temperature_c", least=COLDEST_C, most=HOTTEST_C),

@@ -97,7 +97,8 @@ class Recording:
     clean: expected noise-free signal, normalised; `float32[H, W]`, or `[T, H, W]`, maybe lazy like frames.
     code_step: spacing of the stored codes in DN; None: to be detected; 0: not on a lattice.
     gain_db: the camera's gain setting where it counts in dB; its iso is then 100 x 10^(gain_db / 20).
-    egain: the gain that the file states, e-/DN; what is measured never uses it.
+    egain: the gain that the file states, e-/DN; what is measured never uses it. em_gain: by which the file
+      says that charge was multiplied before it was read; likewise.
     reference: where `clean` comes from; None: unknown. reference_frames: how many were averaged.
     full_code: code of frames of the same setting that are left out because every pixel of them is full, DN.
     path: the file it was read from, for messages. sources: the files that its frames were taken from, where
@@ -124,6 +125,7 @@ class Recording:
     egain: float | None = None
     full_code: float | None = None
     sources: tuple[str, ...] = ()
+    em_gain: float | None = None
 
     @property
     def count(self) -> int:

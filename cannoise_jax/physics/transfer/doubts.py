@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cannoise_jax.physics.transfer.estimate import Estimate
+from cannoise_jax.physics.transfer.multiplied import multiplied
 from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer
 from cannoise_jax.physics.transfer.smoothed import flats_alike, smoothed
 from cannoise_jax.physics.transfer.stated_gain import far_from_stated
@@ -19,6 +20,7 @@ def doubts(result: PhotonTransfer) -> tuple[str, ...]:
     lines = [q.doubt for q in result.quantities if q.doubt]
     lines = [max(lines, key=len)] if lines else []
     lines.append(smoothed(result.statistics) or flats_alike(result.statistics))
+    lines.append(multiplied(result.statistics))
     lines.append(two_offsets(result.statistics))
     lines.append(far_from_stated((s.recording for s in result.statistics), gains))
     lines.append(unlike_biases(result.statistics, float(np.mean(gains)) if gains else 0.0))
