@@ -44,6 +44,8 @@ _CHANGES, _FEWEST = 15, 4
 _UPRIGHT = 0.5
 """Share of the change between frames that whole columns have in common, beyond which it is none of noise:
 column noise lies below that of pixels, let alone with their shot noise."""
+_HALF = 0.5
+"""Share of the pixels of a scene that have to be below the rail for it to tell whether it moves."""
 _APART = 4
 """Pixels of the mosaic: crosstalk and smoothing reach less far."""
 _OUTSIDE = 3.0
@@ -62,6 +64,8 @@ def lit_of(statistics: Sequence[FrameStatistics]) -> list[FrameStatistics]:
 def moved(lit: Sequence[FrameStatistics], c: int) -> str:
     """Why scenes among what is lit tell no gain in one channel; empty where none moves."""
     scenes = [s for s in lit if s.recording.kind == "scene" and s.variance is not None]
+    # Where most pixels are full nothing changes but at their edge.
+    scenes = [s for s in scenes if below_rail(s, c).mean() > _HALF]
     most = max((moving(s.recording, c) for s in scenes), default=0.0)
     return f"{100 * most:.0f} % of what changes between frames is no noise: {STILL}" if most > MOVES else ""
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+
 from cannoise_jax.recordings.folders.groups import differing
 from cannoise_jax.recordings.folders.levels import GUESSED
 from cannoise_jax.recordings.folders.names import listed
@@ -22,11 +24,12 @@ def used_line(plan: Plan) -> str:
     lost = {name for _, names in rest for name in names} - set(files)
     if not lost:
         return ""
-    parts = ", ".join(f"{len(names)} as {folder}/ ({listed(names)})" for folder, names in rest)
+    parts = ", ".join(f"{len(names)} as {place}/ ({listed(names)})" for place, names in rest)
     which = f" ({', '.join(differ)})" if differ else ""
+    folder = shlex.quote(str(plan.folder))
     return (
         f"{_USED}{len(files)} of {len(files) + len(lost)} files{which}; not used: {parts}: bin/convert "
-        f"{plan.folder} OUT writes every set, these into OUT/{others[0].folder} and so on, each to be used "
+        f"{folder} OUT writes every set, these into OUT/{others[0].folder} and so on, each to be used "
         "by itself"
     )
 

@@ -24,6 +24,11 @@ NO_LIGHT = (
 _APART_DN, _APART = 20.0, 8.0
 """DN, and times what files of one folder differ, from which on darks of two folders are no repeats."""
 
+_FEW_LINES = 16
+"""Rows or columns that no sensor has as few of."""
+_SERIES = 3
+"""Settings of what is lit from which on it looks like an exposure series."""
+
 
 def contradictions(groups: Sequence[Group]) -> list[str]:
     """That the flats of one set are darker than all its darks, and darks of two folders far apart."""
@@ -90,6 +95,19 @@ def lacks(groups: Sequence[Group]) -> list[str]:
     notes = []
     if groups and all(g.kind in DARK for g in groups):
         notes.append(NO_LIGHT)
+    lights = [g for g in groups if g.kind == "scene" and not any(s.whole for s in g.shots)]
+    if len(lights) >= _SERIES and {g.kind for g in groups} - {"scene"} <= set(DARK):
+        notes.append(
+            f"{lights[0].label} to {lights[-1].label}: taken as scenes: of an even light they are flats, "
+            "which tell more: --assign 'NAME*=flat' says so"
+        )
+    turned = [s for g in groups for s in g.shots if not s.whole and s.frames >= 2 * min(s.shape[1:])]
+    if turned := [s for s in turned if min(s.shape[1:]) <= _FEW_LINES]:
+        count, height, width = turned[0].shape
+        notes.append(
+            f"{listed([s.name for s in turned])}: read as {count} frames of {height} x {width} pixels: an "
+            "array is [T, H, W]: where the last axis is that of the frames store it first"
+        )
     single = [f"{g.label} ({g.shots[0].name})" for g in groups if g.frames == 1]
     if single:
         notes.append(f"{listed(single)}: one frame, so no temporal noise: two or more show it")

@@ -341,3 +341,30 @@ def test_a_preview_in_colours_beside_raw_frames_is_passed_over(tmp_path):
     assert "colours or a palette" in "".join(plan_folder(tmp_path).problems)
     plan = plan_folder(night(tmp_path))
     assert not plan.problems and "preview.png: not read, developed pictures in colours" in notes(plan)
+
+
+def test_an_exposure_series_of_an_even_light_may_be_one_of_flats(tmp_path):
+    rng = np.random.default_rng(0)
+    for kind, light in (("light", 1000), ("dark", 0)):
+        for ms in (2, 4, 8):
+            (tmp_path / kind / f"{ms}ms").mkdir(parents=True)
+            for n in range(2):
+                values = 100 + rng.poisson(light * ms / 8 + 20, (24, 32)).astype(np.uint16)
+                np.save(tmp_path / kind / f"{ms}ms" / f"img{n}.npy", values[None])
+    stated = {"cfa": "MONO", "white_level": 4095.0}
+    said = text(plan_folder(tmp_path, stated))
+    assert "taken as scenes: of an even light they are flats" in said
+    flats = plan_folder(tmp_path, stated, assign=[("light*", "flat")])
+    assert "taken as scenes" not in text(flats)
+    assert {g.kind for g in flats.sets[0].groups} == {"flat", "dark"}
+
+
+def test_a_stack_whose_last_axis_is_that_of_the_frames_is_doubted(tmp_path):
+    rng = np.random.default_rng(0)
+    for name, light in (("dark", 0), ("flat", 1000)):
+        np.save(tmp_path / f"{name}.npy", 500 + rng.poisson(light + 20, (64, 80, 8)).astype(np.uint16))
+    said = text(plan_folder(tmp_path, {"cfa": "MONO", "white_level": 4095.0}))
+    assert "read as 64 frames of 80 x 8 pixels" in said
+    for name in ("dark", "flat"):
+        np.save(tmp_path / f"{name}.npy", np.moveaxis(np.load(tmp_path / f"{name}.npy"), -1, 0))
+    assert "read as" not in text(plan_folder(tmp_path, {"cfa": "MONO", "white_level": 4095.0}))
