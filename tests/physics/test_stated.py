@@ -115,3 +115,24 @@ def test_a_dark_that_is_brighter_than_a_flat_exposed_for_as_long_is_said(swapped
     lit, unlit = ("dark", "flat") if swapped else ("flat", "dark")
     said = faults([recorded(lit, 1.0, lamp=1500.0), recorded(unlit, 1.0), recorded("dark", 4.0)]).lights
     assert bool(re.match(r"dark_1s.h5 is a dark and \d+ DN brighter than flat_1s.h5", said)) == swapped
+
+
+def creeping(drift, kind="bias", count=8, scatter=0.0, seed=0):
+    """A dark whose level moves by `drift` DN a frame, and scatters."""
+    rng = np.random.default_rng(seed)
+    level = BLACK + drift * np.arange(count) + scatter * rng.standard_normal(count)
+    frames = np.rint(level[:, None, None] + 3 * rng.standard_normal((count, *SIZE))).astype(np.uint16)
+    return frame_statistics(Recording(frames, "RGGB", (BLACK,) * 4, 16383.0, "c", kind, path=f"{kind}.h5"))
+
+
+@pytest.mark.parametrize("drift", (3.0, -3.0))
+def test_a_black_level_that_creeps_is_said_with_how_far(drift):
+    said = faults([creeping(drift), *series()[4:]]).levels
+    assert said.startswith("bias.h5: its level moves by")
+    assert float(re.search(r"moves by ([+-][\d.]+) DN", said)[1]) == pytest.approx(7 * drift, rel=0.03)
+
+
+def test_levels_that_scatter_or_hardly_move_do_not_creep():
+    assert faults([creeping(0.02), *series()[4:]]).levels == ""
+    for seed in range(20):
+        assert faults([creeping(0.0, scatter=10.0, seed=seed), *series()[4:]]).levels == "", seed

@@ -102,7 +102,7 @@ def _alike(s: FrameStatistics | None, least: float) -> str:
 def _one_way(flat: FrameStatistics | None, dark: FrameStatistics | None) -> str:
     """The same of a flat whose shot noise neighbours share along one axis: charge goes both ways, and the
     noise of rows or columns is no shot noise."""
-    if flat is None or min(flat.recording.size) < 2 * _AWAY[-1]:
+    if flat is None or min(flat.recording.size) < 2 * _AWAY[-1] or moving(flat):
         return ""
     power, *along = np.array(_shared(flat)) - (0.0 if dark is None else np.array(_shared(dark)))
     least, most = min(along), max(along)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
+from scipy import stats
 
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.black import black_level
@@ -27,6 +28,9 @@ _ABOVE = 5.0
 _SURE, _FEWEST = 10.0, 20
 """Standard errors that the charge of a hot pixel lies above none, and how many have to."""
 _CLIPPED = 0.01
+_BY_CHANCE, _FRAMES, _OF_FLATS = 1e-5, 4, 0.005
+"""Chance of a slope of the levels of a dark over its frames, how many it takes, and the share of the signal
+of the dimmest flat by which they have to move: the gain may be off by as much."""
 _PAIR, _TWICE, _NOISES = 2, 10.0, 2.0
 """Frames of a level, times their own spread, and noises of a pixel that two levels of one dark lie apart."""
 
@@ -86,6 +90,26 @@ def levels_line(statistics: Sequence[FrameStatistics]) -> str:
                 f"{_name(s)}: {len(levels) - at} of its {len(levels)} frames lie {apart:.3g} DN above the "
                 f"others, and each agree to {within:.2g} DN: two exposures, temperatures or offsets in one "
                 "set, so that what it tells is that of neither: part them"
+            )
+    return _creeping(statistics)
+
+
+def _creeping(statistics: Sequence[FrameStatistics]) -> str:
+    """That the level of a dark moves steadily over its frames, by what matters beside the dimmest flat."""
+    flats = [s for s in statistics if s.recording.kind == "flat"]
+    least = min((float(np.mean(s.level)) for s in flats), default=np.inf)
+    for s in statistics:
+        levels = s.frame_means.mean(1)
+        if s.recording.kind not in DARK or len(levels) < _FRAMES:
+            continue
+        trend = stats.linregress(np.arange(len(levels)), levels)
+        moves = float(trend.slope) * (len(levels) - 1)
+        if trend.pvalue < _BY_CHANCE and abs(moves) > max(_OF_FLATS * least, s.code_step):
+            return (
+                f"{_name(s)}: its level moves by {moves:+.3g} DN from the first frame to the last, "
+                f"{100 * abs(moves) / least:.2g} % of the signal of the dimmest flat: unless it warms or "
+                "cools the black level creeps, and flats of another time stand on another one: the gain may "
+                "be off by more than that"
             )
     return ""
 
