@@ -47,6 +47,7 @@ from cannoise_jax.discovery.proof.shadow import (
     undrawn,
 )
 from cannoise_jax.discovery.proof.shared_noise import shared, shared_map
+from cannoise_jax.discovery.proof.single_waves import one_of_many
 from cannoise_jax.discovery.proof.white_maps import gathered, noisy_again, patterned, ranged
 from cannoise_jax.discovery.proof.whole_codes import in_few_lines
 from cannoise_jax.discovery.proof.whole_lines import in_parts
@@ -174,6 +175,7 @@ def doubts(
             or not_gaussian(steps, n)
             or shared(steps[n])
             or one_sided(steps, n)
+            or one_of_many(steps, n, full)
             or (two_levels(one) if steps[n].named.signature.axes.time == BLINKING.time else None)
             or (None if steps[n].named.signature.frozen else forgetful(one, own) or uneven(full, own))
         )
