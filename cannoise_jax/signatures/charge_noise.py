@@ -80,7 +80,7 @@ def steadied(
 
 
 _FAR = 6.0
-"""Standard deviations from which on what a pixel collects is its own, whatever the others collect."""
+"""Standard deviations above the others from which on what a pixel collects is its own, whatever they do."""
 _LEAST = 0.1
 """Least variance that pixels of less charge than the mean keep."""
 
@@ -112,7 +112,8 @@ def own_charge(fields: tuple[Fields, ...]) -> Float[np.ndarray, "h w"] | None:
     spread = robust_std(z[seen], 0) ** 2
     chance = _FAR * np.sqrt(np.pi / np.count_nonzero(seen))
     share = max(1 - 1 / spread, 0.0) if spread > 1 + chance else 0.0
-    far = np.abs(z) > _FAR * max(np.sqrt(spread), 1.0)
+    # None collects far less than the others, who are about the mean: one that seems to jumps between levels.
+    far = z > _FAR * max(np.sqrt(spread), 1.0)
     return np.where(seen, np.where(far, 1.0, share) * z / np.sqrt(np.maximum(information, 1e-30)), 0.0)
 
 

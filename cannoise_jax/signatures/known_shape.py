@@ -69,6 +69,11 @@ def known_kurtosis(field: Fields) -> tuple[np.ndarray, np.ndarray]:
     return poisson + own[channel], left[channel] * np.clip(1 - field.shot, 0, 1) ** 2
 
 
+def known_skewness(field: Fields) -> np.ndarray:
+    """Skewness of each pixel by Poisson noise."""
+    return float(np.mean(field.gain)) ** 2 * field.signal / field.sigma**3
+
+
 def kurtosis_doubt(field: Fields) -> float:
     """Standard error of a dark's kurtosis by Poisson noise: that of the dark level that it follows from.
     Matters where single electrons stand out from the read noise."""

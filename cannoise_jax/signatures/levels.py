@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Scaling
+from cannoise_jax.physics.core.rounding import before_cut
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.black import alike
@@ -241,9 +242,18 @@ def channel_score(fields: tuple[Fields, ...], *, recorded: Recorded) -> Score | 
     )
 
 
+def _uncut(field: Fields, level: Float[np.ndarray, "4"]) -> Float[np.ndarray, "4"]:
+    """The level of a dark before code 0 cuts it off, which lifts the shortest most."""
+    channel, unit, f = channel_index(field.mean.shape), field.unit, native(field)
+    noise = [float(np.mean(np.square(f.sigma[channel == c], dtype=np.float64))) for c in range(4)]
+    at = f.black + (level - f.black) * unit
+    before = np.array([before_cut(float(y), v, f.step) for y, v in zip(at, noise, strict=True)])
+    return level + (before - at) / unit
+
+
 def dark_current_score(fields: tuple[Fields, ...], *, recorded: Recorded, quantity: str) -> Score | None:
     """Level of the darks against their exposure, beyond what that of the judged simulator's rises."""
-    levels = [(f, level, e) for f, level, e in dark_levels(fields) if f.exposure_s is not None]
+    levels = [(f, _uncut(f, level), e) for f, level, e in dark_levels(fields) if f.exposure_s is not None]
     jitter = recorded.jitter
     slope, spread = dark_rise(levels, jitter)
     if not np.isfinite(spread):

@@ -14,7 +14,7 @@ from cannoise_jax.physics.core.grammar import Point, amplitude_name
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.fields import Fields, each_frame
 from cannoise_jax.signatures.handed import Addition, Found
-from cannoise_jax.signatures.known_shape import known_kurtosis, kurtosis_doubt, rounded_enough
+from cannoise_jax.signatures.known_shape import known_kurtosis, known_skewness, kurtosis_doubt, rounded_enough
 from cannoise_jax.signatures.least import (
     pooled,
 )
@@ -156,15 +156,15 @@ def _told(fields: tuple[Fields, ...]) -> list[tuple[Fields, Float[np.ndarray, "h
 
 def one_noise(
     fields: tuple[Fields, ...],
-) -> Iterator[tuple[Float[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]]:
-    """Every frame in the dark that tells the shape of noise, all of a recording of one noise, those far out
-    cut off, and the pixels to use."""
+) -> Iterator[tuple[Fields, Float[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]]:
+    """Every frame in the dark that tells the shape of noise, with the fields that it is of: all of a
+    recording of one noise, those far out cut off, and the pixels to use."""
     used = [(f, static) for f, static in _told(fields) if f.kind in DARK]
     cap = _capped(max(sum(f.frames * f.mean.size for f, _ in used), 1)).at
     for f, static in used:
         keep = f.usable & (np.abs(static) < 7)
         for values in _of_one_noise(f, keep.astype(np.float64), cap):
-            yield np.clip(values, -cap, cap), keep
+            yield f, np.clip(values, -cap, cap), keep
 
 
 def _of_one_noise(
@@ -258,8 +258,7 @@ def skew_score(fields: tuple[Fields, ...]) -> Score | None:
     for f in fields:
         if f.static is None or not f.lit or not rounded_enough(f):
             continue
-        system = float(np.mean(f.gain))
-        base = system**2 * f.signal / f.sigma**3
+        base = known_skewness(f)
         w = f.usable * base * (np.abs(f.static) < 7)
         for values in each_frame(f):
             term = w * (values * values**2 - 3 * values - base)

@@ -73,4 +73,7 @@ def noisy_map(fields: Many, share: float) -> np.ndarray:
 
 
 def dark_sigma(fields: Many) -> float:
-    return float(np.mean([np.median(f.sigma) for f in fields if not f.lit]))
+    """Standard deviation of the noise, DN, in whose square the sums of squares of all darks together count
+    what a pixel has beside it."""
+    told = [(max(len(f.contrasts), 1e-3), float(np.median(f.sigma))) for f in fields if not f.lit]
+    return float(np.sqrt(sum(n for n, _ in told) / sum(n / sigma**2 for n, sigma in told)))

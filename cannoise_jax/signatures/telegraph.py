@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -15,7 +16,15 @@ from cannoise_jax.signatures.heat import above_neighbours
 from cannoise_jax.signatures.hot import mask_off
 from cannoise_jax.signatures.known_shape import darks
 from cannoise_jax.signatures.least import Law, Seen
-from cannoise_jax.signatures.rare import FAR_JUMPS, MEAN_JUMPS, jump_log_ratio, sparse_log_p, spread_of
+from cannoise_jax.signatures.rare import (
+    EXPONENTIAL,
+    FAR_JUMPS,
+    MEAN_JUMPS,
+    PEAKED,
+    jump_log_ratio,
+    sparse_log_p,
+    spread_of,
+)
 from cannoise_jax.signatures.returning import returning_log_p
 from cannoise_jax.signatures.score import LEAST_LOG_P, Score
 from cannoise_jax.signatures.signature import BLINKING, NO_LAW, Axes, Signature
@@ -23,6 +32,7 @@ from cannoise_jax.signatures.sparse import telegraph_amplitude, telegraph_found
 from cannoise_jax.signatures.squares import (
     LOOKED_AT,
     READS,
+    dark_sigma,
     histogram,
     mask_noisy,
     noisy_map,
@@ -33,36 +43,63 @@ _START = 0.005
 """Share of the pixels from which that of a mixture is fitted. From a tenth or ten times as many (1 % of 96 x
 128 pixels jumping) 40 rounds gain the same to 0.1 nats, and the share moves by a tenth, within two errors."""
 
+_CLEARLY = 10.0
+"""Nats by which jumps of like size must describe the pixels better than those spread exponentially."""
+
+
+class _Jumps(NamedTuple):
+    """A law of the jumps: nats that it gains, the share of the pixels that jump, the variance that these have
+    by it on average, in units of the noise, and the mean square of a jump over the square of the mean."""
+
+    gain: float
+    share: float
+    variance: float
+    square: float
+
+    @property
+    def mean(self) -> float:
+        """Mean jump, standard deviations of the noise: half of it on either side."""
+        return float(2 * np.sqrt(self.variance / self.square))
+
+
+def _fitted(counts: np.ndarray, centre: np.ndarray, n: int, shape: float) -> _Jumps:
+    """The most likely of those of this shape. counts, centre: of sums of squares, see `histogram`."""
+    best = _Jumps(0.0, 0.0, 0.25, 1 + 1 / shape)
+    for mean in MEAN_JUMPS:
+        mixed, f = jump_log_ratio(centre, n, mean, shape), _START
+        for _ in range(40):
+            responsibility = f * np.exp(mixed) / (1 - f + f * np.exp(mixed))
+            f = float(np.clip(np.sum(counts * responsibility) / counts.sum(), 1e-6, 0.3))
+        gain = float(np.sum(counts * np.log1p(f * np.expm1(mixed))))
+        if gain > best.gain:
+            jumps = counts / (1 + (1 - f) / f * np.exp(-mixed))
+            # Means are tried in steps; what the pixels have beyond the noise is not.
+            variance = float(np.sum(jumps * (centre / n - 1)) / max(np.sum(jumps), 1e-30))
+            best = best._replace(gain=gain, share=f, variance=max(variance, 0.0))
+    return best
+
 
 def telegraph_score(fields: tuple[Fields, ...]) -> Score[bool] | None:
-    """A small share of pixels with extra fluctuation of exponentially spread size."""
+    """A small share of pixels with extra fluctuation. What speaks for it is that of sizes spread
+    exponentially; share and jump are those of the law that describes them better."""
     found = square_map(fields)
     if found is None:
         return None
     whole, usable, n = found
     squares = whole[usable]
     counts, centre = histogram(squares)
-    best, at, share = 0.0, 1.0, 0.0
-    ratios = []
-    for mean in MEAN_JUMPS:
-        mixed = jump_log_ratio(centre, n, mean)
-        if mean in FAR_JUMPS:
-            ratios.append(mixed)
-        f = _START
-        for _ in range(40):
-            responsibility = f * np.exp(mixed) / (1 - f + f * np.exp(mixed))
-            f = float(np.clip(np.sum(counts * responsibility) / counts.sum(), 1e-6, 0.3))
-        gain = float(np.sum(counts * np.log1p(f * np.expm1(mixed))))
-        if gain > best:
-            best, at, share = gain, float(mean), f
+    ratios = [jump_log_ratio(centre, n, mean) for mean in FAR_JUMPS]
+    laws = [_fitted(counts, centre, n, shape) for shape in (EXPONENTIAL, PEAKED)]
+    best, told = laws[0].gain, laws[int(laws[1].gain > laws[0].gain + _CLEARLY)]
+    at, share = told.mean, told.share
     number = int(np.sum(squares > stats.chi2.isf(1e-5, n)))
     log_p = sparse_log_p(counts, ratios)
     # Rare events make other pixels noisy the next time.
     returning = returning_log_p(fields, usable) if log_p < LOOKED_AT else None
     if returning is not None:
         log_p = max(log_p, returning)
-    sigma = float(np.mean([np.median(f.sigma) for f in darks(fields)]))
-    amplitude = sigma * np.sqrt(share * 2 * at**2 / 4)
+    sigma = dark_sigma(tuple(darks(fields)))
+    amplitude = sigma * np.sqrt(share * told.variance)
     error = amplitude / np.sqrt(max(share * squares.size, 1.0))
     shift = sigma * np.sqrt(np.sqrt(2 / n / squares.size))
     return Score(

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax.discovery.frames.splits import prepare_split, split_recordings
+from cannoise_jax.discovery.search.dark_level import added_level
 from cannoise_jax.discovery.search.model import baseline_model
 from cannoise_jax.discovery.search.pedestal import with_pedestals
 from cannoise_jax.mechanisms.pedestal import PEDESTAL
@@ -110,3 +111,33 @@ def test_charge_in_the_unit_of_a_gain_that_is_not_known_better_is_no_level():
         ).with_mechanism("dark_current", e_per_s=rate)
         added = with_pedestals(model, first).mechanisms[1:]
         assert bool(added) == moved, times
+
+
+def test_ordinary_pixels_keep_their_level_beside_hot_ones_in_the_model():
+    """Few hot pixels, which the model has, lie far above all others: the level is of these."""
+    heat = np.zeros(SIZE, np.float32)
+    at = np.random.default_rng(7).choice(heat.size, 40, replace=False)
+    heat.ravel()[at] = np.linspace(40, 300, 40)
+
+    def hot(rng):
+        return lambda dn, signal, kind, t: dn + (heat * t * 10 if kind == "dark" else 0.0)
+
+    capture = capture_set(3, hot, kinds="df", size=SIZE)
+    first = prepare_split(capture, split_recordings(capture))
+    bare = baseline_model(capture, first)
+    rate = heat * 10 / 1.5
+    mean = float(rate[rate > 0].mean())
+    model = bare.with_mechanism("hot_pixels", e_per_s=mean, fraction=0.01, maps={"heat": rate[None] / mean})
+    assert not with_pedestals(model, first).mechanisms[1:]
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_what_code_zero_cuts_off_is_no_level(named):
+    """Darks whose mean is lifted there are drawn as they are, whether or not a mechanism says so."""
+    capture = capture_set(5, kinds="df", size=SIZE, gain=0.8, black=3.0)
+    first = prepare_split(capture, split_recordings(capture))
+    bare = baseline_model(capture, first)
+    model = bare.with_mechanism("black_clipping", level_dn=-3.0) if named else bare
+    assert not with_pedestals(model, first).mechanisms[named:]
+    dark = next(s for s in first.stacks if s.recording.kind == "dark")
+    np.testing.assert_allclose(added_level(model, bare, dark, Settings(100.0, 0.01)), 0, atol=1e-3)

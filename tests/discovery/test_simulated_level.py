@@ -18,7 +18,7 @@ def taken(seed, rate, rows=0.0, black=300.0):
         codes = black + 2 * charge + rows * rng.standard_normal((8, 64, 1))
         own.append(
             Recording(
-                np.rint(codes).astype(np.uint16), "MONO", (300.0,) * 4, 16383.0, kind=kind,
+                np.maximum(np.rint(codes), 0).astype(np.uint16), "MONO", (300.0,) * 4, 16383.0, kind=kind,
                 exposure_s=seconds, path=f"{kind}_{seconds:g}",
             )
         )  # fmt: skip
@@ -32,6 +32,15 @@ def test_a_dark_current_counts_beyond_that_of_the_simulator(drawn, missing):
     value, _, error = score.parameters["dark_current"]
     assert abs(value - missing) < 4 * error and error < 0.05
     assert (score.log_p < -20) == bool(missing)
+
+
+@pytest.mark.parametrize("drawn", [0.3, 0.0])
+def test_a_dark_current_is_told_beside_what_code_zero_cuts_off(drawn):
+    """The darks lie a standard deviation above code 0, which lifts the shortest by more than the others."""
+    looking = splits_of(taken(1, 0.3, black=8.0), True, taken(2, drawn, black=8.0)).looking
+    score = locate(looking.fields, looking.signatures).scores["dark_level"]
+    value, _, error = score.parameters["dark_current"]
+    assert abs(value - (0.3 - drawn)) < 3 * error and error < 0.02
 
 
 def test_rows_of_the_simulator_make_its_level_less_sure():

@@ -68,3 +68,16 @@ def test_closed_form_of_a_composition_is_what_is_drawn(name):
     assert found.mean() == pytest.approx(total.mean(), rel=0.18 if "light" in name else 0.04)
     if "light" not in name:
         assert np.abs(found / total - 1).max() < 0.3
+
+
+@pytest.mark.parametrize(
+    "name", [{"crosstalk": {"fraction": 0.01}}, {"demosaicing": {"weight": 0.05}}, {"saturation": {}}]
+)
+def test_noise_without_read_noise_left_passes_a_clamp_to_its_neighbours(name):
+    """Where what comes before leaves less than the shot noise, the root of what is left has no slope."""
+    model = BASE
+    for id, parameters in {**name, "hot_pixel_suppression": {"weight": 0.2}}.items():
+        model = model.with_mechanism(id, **parameters)
+    context = context_of(model, jnp.full((1, *SIZE), 0.4), SETTINGS)
+    mean, variance = chain.closed_form(model, context, resolve(model, context))
+    assert np.isfinite(mean).all() and (np.asarray(variance) > 0).all()

@@ -16,17 +16,19 @@ EXPOSURES = (0.01, 2.0, 10.0, 30.0)
 _RNG = np.random.default_rng
 
 
-def darks(seed, rate, clamp, warm=0.0, drift=0.0, exposures=EXPOSURES):
+def darks(seed, rate, clamp, warm=0.0, drift=0.0, exposures=EXPOSURES, hidden=0.0):
     """Darks and a flat of a camera in plain NumPy. rate: e-/s of every pixel; clamp: share of its mean that
     is taken away; warm: mean of a part that differs from pixel to pixel, exponentially; drift: relative
-    change of the read noise per recording."""
+    change of the read noise per recording; hidden: e-/s besides, all of whose mean is taken away."""
     rng = _RNG(seed)
-    heat = rate + warm * rng.exponential(size=SIZE)
+    heat = hidden + rate + warm * rng.exponential(size=SIZE)
     shots = [("dark", t, 0.0) for t in exposures] + [("flat", 0.01, 3000.0)]
     out = []
     for kind, seconds, light in shots:
         read = READ * (1 + drift * rng.standard_normal())
-        charge = rng.poisson(heat * seconds + light, (8, *SIZE)) - clamp * np.median(heat) * seconds
+        charge = (
+            rng.poisson(heat * seconds + light, (8, *SIZE)) - (clamp * np.median(heat) + hidden) * seconds
+        )
         values = BLACK + GAIN * (charge + read * rng.standard_normal((8, *SIZE)))
         codes = np.clip(np.round(values), 0, 16383).astype(np.uint16)
         out.append(Recording(codes, "RGGB", (BLACK,) * 4, 16383.0, kind=kind, exposure_s=seconds))
@@ -63,3 +65,19 @@ def test_a_camera_that_hides_nothing_is_not_called_one(rate, warm, drift, exposu
     """No dark current, much of it, a broad distribution over pixels, electronics a few kelvin warmer."""
     p = [np.exp(score(seed, rate, 0.0, warm, drift, exposures).log_p) for seed in range(20)]
     assert min(p) > 1e-3 and np.mean(np.array(p) < 0.05) <= 0.2
+
+
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
+def test_the_noise_of_a_glow_that_was_found_is_that_of_its_charge(seed):
+    """Its level is taken out of the darks, its shot noise is in them."""
+    fall = np.exp(-np.hypot(*np.indices(SIZE)) / 25)
+
+    def found(hidden):
+        capture = darks(seed, 0.7 + 1.5 * fall, 0.0, hidden=hidden)
+        prepared = prepare(capture, all_frames(split_recordings(capture)), False)
+        (glow,) = (s for s in prepared.signatures if s.name == "glow")
+        return excess_score(glow.absorb(prepared.fields, glow.score(prepared.fields)))
+
+    assert found(0.0).log_p > np.log(1e-3)
+    beside = found(0.5)
+    assert beside.log_p < -8 and beside.amplitude == pytest.approx(0.5, abs=0.15)

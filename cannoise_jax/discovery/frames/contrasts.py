@@ -180,8 +180,8 @@ def detected_step(capture: CaptureSet) -> float:
     return float(max(step, 1))
 
 
-def robust_mean(values: np.ndarray) -> float:
-    """Mean of the values within six robust standard deviations of their median. Where most of them are one
+def ordinary(values: np.ndarray) -> np.ndarray:
+    """Which values lie within six robust standard deviations of their median. Where most of them are one
     code, those that are not tell the spread: without them the mean would be that code."""
     centre = np.median(values)
     away = np.abs(values - centre)
@@ -189,7 +189,12 @@ def robust_mean(values: np.ndarray) -> float:
     if spread < 1e-6:
         others = away[away > 1e-6]
         spread = float(np.median(others)) if others.size else 1e-6
-    return float(values[away < 6 * spread].mean())
+    return away < 6 * spread
+
+
+def robust_mean(values: np.ndarray) -> float:
+    """Mean of the `ordinary` values: recorded ones, for where there is no noise it is that of all."""
+    return float(values[ordinary(values)].mean())
 
 
 def reference(recording: Recording) -> np.ndarray:

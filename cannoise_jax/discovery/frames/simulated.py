@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from cannoise_jax.discovery.frames.calibrate import fit_baseline
+from cannoise_jax.discovery.frames.calibrate import fit_baseline, ordinary_variance
 from cannoise_jax.discovery.frames.contrasts import robust_mean, stack
+from cannoise_jax.physics.core.rounding import before_cut
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK, CaptureSet
@@ -45,7 +46,10 @@ def drawn_rise(
         return 0.0, 0.0
     seconds = np.array([r.exposure_s for r in darks], float)
     groups = np.array([group[r.iso] for r in darks])
-    level, variance = np.array([_level(np.asarray(r.frames, np.float32)) for r in darks]).T
+    frames = [np.asarray(r.frames, np.float32) for r in darks]
+    level, variance = np.array([_level(f) for f in frames]).T
+    steps = [baselines[g].code_step for g in groups]
+    level = np.array([_uncut(*each) for each in zip(level, frames, steps, strict=True)])
     unit = np.asarray(units)[groups]
     rise, error = slope_of(seconds, level / unit, variance / unit**2, groups)
     return (rise, error) if np.isfinite(error) else (0.0, 0.0)
@@ -73,6 +77,13 @@ def drawn_black(
             if abs(np.mean(level - out[g])) > _SURE * error or np.ptp(level - out[g]) > _SURE * 2 * error:
                 out[g] = level
     return out
+
+
+def _uncut(level: float, frames: np.ndarray, step: float) -> float:
+    """The level before code 0 cuts it off, as that of recorded darks is told."""
+    if len(frames) < 2:
+        return level
+    return before_cut(level, ordinary_variance(frames.var(0, ddof=1), len(frames) - 1), step)
 
 
 def _level(frames: np.ndarray) -> tuple[float, float]:

@@ -26,6 +26,7 @@ from cannoise_jax.discovery.proof.check import frames_for_names
 from cannoise_jax.discovery.proof.claims import by_level, empty, forgetful, lasting, two_levels
 from cannoise_jax.discovery.proof.gate import Gated
 from cannoise_jax.discovery.proof.gaussian import not_gaussian
+from cannoise_jax.discovery.proof.one_sided import one_sided
 from cannoise_jax.discovery.proof.own_part import (
     Borne,
     at_home,
@@ -45,7 +46,8 @@ from cannoise_jax.discovery.proof.shadow import (
     shadowed,
     undrawn,
 )
-from cannoise_jax.discovery.proof.shared_noise import shared
+from cannoise_jax.discovery.proof.shared_noise import shared, shared_map
+from cannoise_jax.discovery.proof.single_waves import one_of_many
 from cannoise_jax.discovery.proof.white_maps import gathered, noisy_again, patterned, ranged
 from cannoise_jax.discovery.proof.whole_codes import in_few_lines
 from cannoise_jax.discovery.proof.whole_lines import in_parts
@@ -166,11 +168,14 @@ def doubts(
             or lasting(steps[n])
             or by_level(steps[n])
             or noisy_again(steps[n])
+            or shared_map(steps[n])
             or in_parts(steps[n])
             or in_places(steps[n])
             or in_few_lines(steps[n], capture, frames)
             or not_gaussian(steps, n)
             or shared(steps[n])
+            or one_sided(steps, n)
+            or one_of_many(steps, n, full)
             or (two_levels(one) if steps[n].named.signature.axes.time == BLINKING.time else None)
             or (None if steps[n].named.signature.frozen else forgetful(one, own) or uneven(full, own))
         )

@@ -3,16 +3,19 @@
 Noise whose strength changes from row to row, block to block or place to place is a mixture, and a mixture has
 tails that none of its parts has. Where the variance s^2 of pixels that lie side by side is one, their squares
 are correlated, by var(s^2), and the excess kurtosis of all is three times that. Tails of single pixels leave
-their squares independent.
+their squares independent. So does a noise of each pixel's own, which is the same in other frames.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from cannoise_jax.discovery.proof.white_maps import NOISE
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
+from cannoise_jax.signatures.returning import halves
 from cannoise_jax.signatures.shape import HEAVY, one_noise
+from cannoise_jax.signatures.squares import square_map
 
 _LAGS = (2, 3, 4)
 """Pixels apart: those next to each other share charge, those far apart no block."""
@@ -20,6 +23,13 @@ _SHARE = 0.3
 """Of the excess kurtosis, from which on it is the mixture's."""
 _SURE = 6.0
 """Standard errors from which on the squares are correlated."""
+_DIAGONAL = ((2, 2), (2, -2), (4, 4), (4, -4))
+"""Pixels apart, down and across: of one colour, and in no line of noise together."""
+_HALF = 0.5
+"""Of what pixels have in common with themselves in other frames, that those beside each other have: a map of
+single pixels has none, one that is smooth over ten pixels and more 0.8 to 1."""
+_FARTHEST = 1e-3
+"""Share of the pixels, the noisiest, that count as the next one does."""
 
 
 def shared(step: Step) -> Doubt | None:
@@ -28,7 +38,7 @@ def shared(step: Step) -> Doubt | None:
         return None
     products, errors, fourth = np.zeros(2), np.zeros(2), 0.0
     pairs = number = 0.0
-    for frame, keep in one_noise(step.before):
+    for _, frame, keep in one_noise(step.before):
         square = np.where(keep, frame.astype(np.float64) ** 2, 0.0)
         mean = float(square.sum() / keep.sum())
         fourth += float(np.sum(square**2)) / mean**2 - 3 * float(keep.sum())
@@ -54,6 +64,30 @@ def shared(step: Step) -> Doubt | None:
     return Doubt(
         float(min(share[worst], 1.0)), (f"{said} those of noise that is stronger in places",), instead=True
     )
+
+
+def shared_map(step: Step) -> Doubt | None:
+    """What speaks against a step that gives every pixel a noise of its own: that pixels near by are as noisy,
+    in other frames, as it is itself, as where noise is stronger in parts of the frame."""
+    if step.named.mechanism == UNKNOWN or step.named.signature.axes.law != NOISE:
+        return None
+    found, seen = halves(step.before), square_map(step.before)
+    if found is None or seen is None:
+        return None
+    usable = seen[1]
+    limits = [float(np.quantile(half[usable], 1 - _FARTHEST)) for half in found]
+    one, other = (np.minimum(half, limit) for half, limit in zip(found, limits, strict=True))
+    one, other = (np.where(usable, half / half[usable].mean() - 1, 0.0) for half in (one, other))
+    number = float(usable.sum())
+    itself = float(np.sum(one * other)) / number
+    pairs = [(one, other, lag) for lag in _DIAGONAL] + [(other, one, lag) for lag in _DIAGONAL]
+    beside = float(np.mean([np.sum(a * np.roll(b, lag, (0, 1))) for a, b, lag in pairs])) / number
+    error = float(np.sqrt(np.mean(one**2) * np.mean(other**2) / number / len(_DIAGONAL)))
+    if beside < _SURE * error or beside < _HALF * itself:
+        return None
+    share = min(beside / max(itself, beside), 1.0)
+    said = f"pixels near each other are noisy together: they have {100 * share:.0f} % of it in common"
+    return Doubt(share, (said,), instead=True)
 
 
 def _ends(size: int, lag: int) -> tuple[tuple[int, int], tuple[int, int]]:

@@ -10,12 +10,11 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 
-import jax.numpy as jnp
 import numpy as np
 
 from cannoise_jax.discovery.frames.balance import balanced
 from cannoise_jax.discovery.frames.battery import Prepared, first_gain
-from cannoise_jax.discovery.frames.contrasts import robust_mean
+from cannoise_jax.discovery.search.dark_level import added_level
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.maps import one_draw
 from cannoise_jax.discovery.search.name import UNKNOWN
@@ -26,7 +25,6 @@ from cannoise_jax.physics.core.ranges import clipped
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.settings import black_at, with_black_levels
 from cannoise_jax.physics.transfer.model import measured_at
-from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK, CaptureSet, per_channel
 from cannoise_jax.signatures.handed import Addition, Found
 from cannoise_jax.signatures.recorded import Stated
@@ -107,17 +105,16 @@ def _as_dark(model: SensorModel, bare: SensorModel, prepared: Prepared) -> Senso
     moved = levels.copy()
     for n, iso in enumerate(isos):
         darks = [
-            s.recording
+            s
             for s in prepared.stacks
             if s.recording.kind in DARK and np.float32(prepared.isos[s.recording.iso]) == np.float32(iso)
         ]
         if not darks:
             continue
-        r = min(darks, key=lambda r: r.exposure_s or 0.0)
+        shortest = min(darks, key=lambda s: s.recording.exposure_s or 0.0)
+        r = shortest.recording
         settings = Settings(iso, r.exposure_s or 0.0, r.temperature_c)
-        dark = jnp.zeros(r.size, jnp.float32)
-        lifted = np.asarray(model.expected(dark, settings)) - np.asarray(bare.expected(dark, settings))
-        moved[n] -= [robust_mean(lifted[at]) for at in SITES]
+        moved[n] -= added_level(model, bare, shortest, settings)
     return model if np.allclose(moved, levels, atol=_SAME_LEVEL) else with_black_levels(model, moved)
 
 

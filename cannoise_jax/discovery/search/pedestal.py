@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
 from cannoise_jax.discovery.frames.battery import Prepared
-from cannoise_jax.discovery.frames.contrasts import Stack, robust_mean
+from cannoise_jax.discovery.frames.contrasts import Stack, ordinary, robust_mean
+from cannoise_jax.discovery.search.dark_level import stored_dark
 from cannoise_jax.mechanisms.pedestal import LEVELS, PEDESTAL
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.robust import robust_std
@@ -59,14 +59,15 @@ def with_pedestals(model: SensorModel, prepared: Prepared) -> SensorModel:
 
 def _off(model: SensorModel, stacked: Stack, iso: float) -> Float[np.ndarray, "3 4"]:
     """Level of every site beyond what the model expects, that, DN, and the variance of their difference by
-    what single pixels differ by."""
+    what single pixels differ by: of pixels whose difference is ordinary. What the model expects has no noise
+    that would tell which of them are few and far."""
     r = stacked.recording
-    settings = Settings(iso, r.exposure_s or 0.0, r.temperature_c)
-    expected = np.asarray(model.expected(jnp.zeros(r.size, jnp.float32), settings))
-    found, own = (np.array([robust_mean(frame[at]) for at in SITES]) for frame in (stacked.mean, expected))
+    expected = stored_dark(model, r.size, Settings(iso, r.exposure_s or 0.0, r.temperature_c))
     apart = stacked.mean - expected
-    spread = [robust_std(apart[at]) ** 2 / apart[at].size for at in SITES]
-    return np.stack([found - own, own, spread])
+    told = [(apart[at], expected[at][ordinary(apart[at])].mean()) for at in SITES]
+    off, own = [robust_mean(values) for values, _ in told], [level for _, level in told]
+    spread = [robust_std(values) ** 2 / values.size for values, _ in told]
+    return np.array([off, own, spread])
 
 
 def _scatter(darks: list[Stack]) -> Float[np.ndarray, "4"] | None:

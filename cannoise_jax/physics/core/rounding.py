@@ -20,6 +20,10 @@ COARSE = 1.5
 CLEAR = 6.0
 """Standard deviations above code 0 from which the clipping there is not seen."""
 
+_BROAD = 0.5
+"""Standard deviations of codes from which on rounding moves their mean by less than a hundredth of a code,
+wherever it lies."""
+
 
 def stored_moments(black: float, read: float, step: float, spread: float = 0.0) -> tuple[float, float]:
     """Mean (DN) and temporal variance (DN^2) of normal noise once rounded and clipped at 0, over all pixels.
@@ -48,6 +52,16 @@ def mean_bias(dither: float) -> float:
 def variance_bias(dither: float) -> float:
     """The most by which it moves their variance away from that before rounding plus 1/12, codes squared."""
     return float((1 / np.pi**2 + 4 * dither) * np.exp(-2 * np.pi**2 * dither))
+
+
+def before_cut(level: float, variance: float, step: float) -> float:
+    """Level of a dark, DN, before what code 0 cut off; as it is where that is far, and of noise so small
+    (temporal variance of the codes, DN^2) that the offsets of pixels decide where it lies between two codes.
+    """
+    sigma = float(np.sqrt(variance))
+    if sigma < _BROAD * step or level > CLEAR * sigma:
+        return level
+    return before_rounding(level, variance, step)[0]
 
 
 def level_and_spread(
