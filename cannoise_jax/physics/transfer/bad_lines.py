@@ -50,23 +50,23 @@ class BadLines(NamedTuple):
 
 def bad_lines(
     mean: Float[np.ndarray, "H W"],
-    noise: float,
+    least: float,
     black: Float[np.ndarray, "4"] | None,
     stuck: Bool[np.ndarray, "H W"],
 ) -> BadLines | None:
-    """Bad columns and rows in an average of frames, without stuck pixels; None where there are none. noise:
-    temporal, of a usual pixel, DN: a line that lies less far from its neighbours moves nothing. black: level
-    of a flat, whose dead lines are left."""
+    """Bad columns and rows in an average of frames, without stuck pixels; None where there are none. least:
+    temporal noise of a usual pixel, or a code, DN: a line that lies less far from its neighbours moves
+    nothing. black: level of a flat, whose dead lines are left."""
     turned = None if black is None else black[[0, 2, 1, 3]]  # channels of the frame turned over
     columns, rows = (
         found & ~stuck if (found & ~stuck).mean() <= _MOST else np.zeros(mean.shape, bool)
-        for found in (_columns(mean, noise, black), _columns(mean.T, noise, turned).T)
+        for found in (_columns(mean, least, black), _columns(mean.T, least, turned).T)
     )
     return BadLines(columns, rows) if (columns | rows).any() else None
 
 
 def _columns(
-    mean: Float[np.ndarray, "H W"], noise: float, black: Float[np.ndarray, "4"] | None
+    mean: Float[np.ndarray, "H W"], least: float, black: Float[np.ndarray, "4"] | None
 ) -> Bool[np.ndarray, "H W"]:
     out = np.zeros(mean.shape, bool)
     for c in range(4):
@@ -80,7 +80,7 @@ def _columns(
         left, right = _beside(level)
         about = (left + right) / 2
         apart = level - about
-        odd = np.abs(apart) > max(_FAR * robust_std(apart, 0.0), noise)
+        odd = np.abs(apart) > max(_FAR * robust_std(apart, 0.0), least)
         odd &= np.abs(left - right) < _EDGE * np.abs(apart)
         if black is not None:
             odd &= level - black[c] > _DEAD * (about - black[c])

@@ -43,7 +43,8 @@ def clamped(s: FrameStatistics | None) -> str:
     pixels = int(usable.sum()) * min(_FRAMES, s.recording.count)
     noise = float(np.sqrt(np.median(s.variance)))
     # Where the light changes by more than the noise from pixel to pixel neither side shows.
-    broad = noise > max(_BROAD * s.code_step, float(np.median(np.abs(s.mean[:, step:] - s.mean[:, :-step]))))
+    slopes = (np.abs(s.mean[:, step:] - s.mean[:, :-step]), np.abs(s.mean[step:] - s.mean[:-step]))
+    broad = noise > max(_BROAD * s.code_step, *(float(np.median(slope)) for slope in slopes))
     one_side = min(above, below) < _FEWER * max(above, below) and max(above, below) > _LEAST_PIXELS
     neither = broad and above + below < 2 * _NEITHER * pixels and pixels > 10 * _LEAST_PIXELS
     if not one_side and not neither:

@@ -184,7 +184,8 @@ def frame_statistics(recording: Recording, rounds: int = 2) -> FrameStatistics:
     bad = None
     if variance is not None and recording.kind != "scene":
         black = np.asarray(recording.black_level) if relative else None
-        bad = bad_lines(mean, float(np.sqrt(np.median(variance))), black, stuck)
+        least = max(float(np.sqrt(np.median(variance))), step)
+        bad = bad_lines(mean, least, black, stuck)
         if bad is not None:
             stuck = stuck | bad.pixels
             rows, columns = line_means_without(recording.frames, stuck, _CHUNK_BYTES)
