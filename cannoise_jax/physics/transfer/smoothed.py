@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from cannoise_jax.physics.transfer.clamped import clamped
 from cannoise_jax.physics.transfer.estimators.neighbours import filtered, lag_covariances
@@ -35,7 +36,8 @@ def smoothed(statistics: Sequence[FrameStatistics]) -> str:
     """That the noise of neighbours in darks is alike as no sensor makes it, or that in flats along one axis,
     or that no pixel of these is above all about it, and what to record; empty where it is not."""
     flat, dark = brightest_flat(statistics), darkest(statistics)
-    alike = _alike(dark, _DARK) or _one_way(flat, dark)
+    of_dark = _shared(dark)
+    alike = _alike(dark, of_dark, _DARK) or _one_way(flat, of_dark)
     how = f"{alike}, as after smoothing, scaling or filling in of colours" if alike else clamped(flat)
     return how and (
         f"the frames are processed, not raw: {how}; gain and noise are those of the codes that were made of "
@@ -47,7 +49,7 @@ def flats_alike(statistics: Sequence[FrameStatistics]) -> str:
     """The same of flats, whose light may move as well: then pixels further apart are alike too. Empty where
     no flat tells."""
     flat = brightest_flat(statistics)
-    return _said(_alike(flat, _FLAT)) or flats_moving(statistics) or _filtered(flat)
+    return _said(_alike(flat, _shared(flat), _FLAT)) or flats_moving(statistics) or _filtered(flat)
 
 
 def _filtered(flat: FrameStatistics | None) -> str:
@@ -92,21 +94,22 @@ def moving(s: FrameStatistics) -> str:
     )
 
 
-def _alike(s: FrameStatistics | None, least: float) -> str:
-    if s is None or min(s.recording.size) < 2 * _AWAY[-1]:
+def _alike(s: FrameStatistics | None, shared: Float[np.ndarray, "3"] | None, least: float) -> str:
+    if s is None or shared is None:
         return ""
-    power, across, down = _shared(s)
+    power, across, down = shared
     return _of_neighbours(s, across / power, down / power) if min(across, down) >= least * power else ""
 
 
-def _one_way(flat: FrameStatistics | None, dark: FrameStatistics | None) -> str:
+def _one_way(flat: FrameStatistics | None, of_dark: Float[np.ndarray, "3"] | None) -> str:
     """The same of a flat whose shot noise neighbours share along one axis: charge goes both ways, and the
     noise of rows or columns is no shot noise."""
-    if flat is None or min(flat.recording.size) < 2 * _AWAY[-1] or moving(flat):
+    of_flat = _shared(flat)
+    if flat is None or of_flat is None:
         return ""
-    power, *along = np.array(_shared(flat)) - (0.0 if dark is None else np.array(_shared(dark)))
+    power, *along = of_flat if of_dark is None else of_flat - of_dark
     least, most = min(along), max(along)
-    if most < _DARK * power or least > _ONE_WAY * most:
+    if most < _DARK * power or least > _ONE_WAY * most or moving(flat):
         return ""
     return _of_neighbours(flat, along[0] / power, along[1] / power)
 
@@ -116,8 +119,11 @@ def _of_neighbours(s: FrameStatistics, across: float, down: float) -> str:
     return f"the noise of neighbours in the {kind} is alike by {across:.2f} across and {down:.2f} down"
 
 
-def _shared(s: FrameStatistics) -> tuple[float, float, float]:
-    """Variance, and covariance with the next pixel across and down less the largest some pixels away."""
+def _shared(s: FrameStatistics | None) -> Float[np.ndarray, "3"] | None:
+    """Variance, and covariance with the next pixel across and down less the largest some pixels away, DN^2;
+    None for frames too small to tell."""
+    if s is None or min(s.recording.size) < 2 * _AWAY[-1]:
+        return None
     far = tuple(lag for n in _AWAY for lag in ((0, n), (n, 0)))
     found = lag_covariances(s, ((0, 0), (0, 1), (1, 0), *far))
 
@@ -125,4 +131,4 @@ def _shared(s: FrameStatistics) -> tuple[float, float, float]:
         return found[near][0] - max(abs(found[lag][0]) for lag in away)
 
     power = max(found[0, 0][0], 1e-12)
-    return power, over((0, 1), [(0, n) for n in _AWAY]), over((1, 0), [(n, 0) for n in _AWAY])
+    return np.array([power, over((0, 1), [(0, n) for n in _AWAY]), over((1, 0), [(n, 0) for n in _AWAY])])
