@@ -40,7 +40,7 @@ _ROWS = (
     (_NOISE, "e-", "sigma_d, temporal dark noise without quantisation"),
     ("sensitivity threshold", "e-", "mu_e.min, absolute sensitivity threshold"),
     ("saturation level", "e-", "mu_e.sat, saturation capacity"),
-    ("SNR max", "", "SNR max"),
+    ("SNR max", "", "SNR max, as a ratio"),
     ("SNR max", "dB", "SNR max"),
     ("dynamic range", "dB", "DR, dynamic range"),
     ("DSNU1288", "e-", "DSNU1288, dark signal nonuniformity"),
