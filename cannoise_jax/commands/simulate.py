@@ -30,7 +30,7 @@ from cannoise_jax.commands.parser import (
     seed,
 )
 from cannoise_jax.commands.pulse import now_at
-from cannoise_jax.recordings.recording import BadInput, iso_of_gain
+from cannoise_jax.recordings.recording import BadInput, gain_of_iso, iso_of_gain
 
 if TYPE_CHECKING:
     import jax
@@ -139,13 +139,11 @@ def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording
     model = _sensor(arguments.sensor, arguments.mechanisms)
     if arguments.unit is not None:
         model = model.with_unit(jax.random.key(arguments.unit))
-    iso = float(np.asarray(model.iso)[0]) if arguments.iso is None else arguments.iso
-    if arguments.gain is not None:
-        iso = iso_of_gain(arguments.gain)
-    _check_noise(model, iso, f"--iso {iso:.9g}" if arguments.gain is None else f"--gain {arguments.gain:g}")
+    iso, decibels = _asked(arguments, float(np.asarray(model.iso)[0]))
+    _check_noise(model, iso, f"--iso {iso:.9g}" if decibels is None else f"--gain {decibels:g}")
     settings = Settings(iso, arguments.exposure, arguments.temperature, arguments.frames)
     clean_scenes = scenes(arguments.clean, model.cfa, arguments.size or _stored_size(model))
-    paths = [arguments.out / _name(clean, settings, arguments.gain, arguments.unit) for clean in clean_scenes]
+    paths = [arguments.out / _name(clean, settings, decibels, arguments.unit) for clean in clean_scenes]
     for clean, path in zip(clean_scenes, paths, strict=True):
         height, width = clean.values.shape
         if model.cfa != "MONO" and (height % 2 or width % 2):
@@ -166,10 +164,18 @@ def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording
             own = jax.random.fold_in(key, zlib.crc32(path.name.encode()))
             draw = partial(_drawn, model, own, clean, settings)
             with drawing.told(path.name, settings.frames, clean.values.size, draw):
-                recording = dataclasses.replace(record(model, own, clean, settings), gain_db=arguments.gain)
+                recording = dataclasses.replace(record(model, own, clean, settings), gain_db=decibels)
             write_recording(path, recording, progress(f"writing frames of {path.name}", alone=False))
             yield path, recording
             tell(number + 1, len(clean_scenes))
+
+
+def _asked(arguments: argparse.Namespace, first: float) -> tuple[float, float | None]:
+    """The ISO to simulate, and the gain in dB where that is what was asked for, or what the camera counts its
+    first setting in."""
+    if arguments.gain is not None:
+        return iso_of_gain(arguments.gain), arguments.gain
+    return (first, gain_of_iso(first)) if arguments.iso is None else (arguments.iso, None)
 
 
 def _check_noise(model: SensorModel, iso: float, asked: str) -> None:
@@ -179,10 +185,13 @@ def _check_noise(model: SensorModel, iso: float, asked: str) -> None:
     from cannoise_jax.recordings.stated_values import MOST_NLF
 
     if max(float(np.max(v)) for v in _noise_at(model, iso)) > MOST_NLF:
-        known = np.asarray(model.iso)
+        isos = np.asarray(model.iso)
+        ends = [gain_of_iso(float(iso)) for iso in (isos.min(), isos.max())]
+        known = f"ISO {isos.min():g} to {isos.max():g}"
+        known = known if None in ends else f"gains of {ends[0]:g} to {ends[1]:g} dB (--gain)"
         raise BadInput(
             f"{asked}: the noise of {model.camera} would there be wider than its whole range: it is "
-            f"calibrated at ISO {known.min():g} to {known.max():g}, name one not far off"
+            f"calibrated at {known}, name one not far off"
         )
 
 

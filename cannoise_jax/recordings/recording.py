@@ -7,6 +7,7 @@ Values are normalised as (DN - black) / (white - black): 0 is the black level, 1
 
 from __future__ import annotations
 
+import math
 import re
 import reprlib
 from collections.abc import Iterable
@@ -48,6 +49,15 @@ _LONGEST_LINE = 880
 def iso_of_gain(decibels: float) -> float:
     """The ISO that stands for the gain of a camera that counts in dB: 100 at 0 dB."""
     return 100 * 10 ** (decibels / 20)
+
+
+def gain_of_iso(iso: float) -> float | None:
+    """The gain in dB that an ISO stands for, in tenths; None for one that a camera states as such. Those are
+    whole numbers, and what stands for a gain hardly ever is one: 0, 20 and 40 dB are not told."""
+    tenths = 200 * math.log10(iso / 100) if iso > 0 else 0.0
+    if iso == round(iso) or abs(tenths - round(tenths)) > 1e-3:
+        return None
+    return round(tenths) / 10
 
 
 def in_one_line(value: object) -> str:

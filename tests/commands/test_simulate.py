@@ -7,7 +7,7 @@ from cannoise_jax.commands.simulate import main
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.physics.core.sensor_json import write_sensor
 from cannoise_jax.recordings.native import read_recording
-from cannoise_jax.recordings.recording import BadInput
+from cannoise_jax.recordings.recording import BadInput, gain_of_iso, iso_of_gain
 
 
 @pytest.fixture
@@ -250,3 +250,22 @@ def test_recordings_of_two_calls_have_no_noise_in_common(sensor, tmp_path):
     changes = [np.diff(read_recording(p).frames[:].astype(float), axis=0).ravel() for p in paths]
     shared = np.corrcoef(changes)[np.triu_indices(3, 1)]
     assert np.abs(shared).max() < 5 / np.sqrt(changes[0].size)
+
+
+def test_a_camera_that_counts_its_gain_in_decibels_is_asked_in_them(tmp_path, capsys):
+    model = SensorModel.poisson_gaussian(0.8, 3.0, 500, 65535, "MONO", iso=iso_of_gain(10.0), camera="c")
+    write_sensor(tmp_path / "sensor.json", model)
+    dark = ["--sensor", str(tmp_path / "sensor.json"), "--clean", "dark", "--size", "32x32", "--out"]
+    assert main([*dark, str(tmp_path / "out")]) == 0
+    stored = read_recording(tmp_path / "out" / "dark_gain10dB_0.01s.h5")
+    assert stored.gain_db == 10.0 and stored.iso == pytest.approx(316.228, abs=1e-3)
+    assert main([*dark, str(tmp_path / "out"), "--iso", "1e9"]) == 2
+    assert "gains of 10 to 10 dB (--gain)" in capsys.readouterr().err
+
+
+def test_only_what_stands_for_a_gain_in_tenths_of_decibels_is_told_as_one():
+    for tenths in range(1, 600):
+        if tenths % 200:
+            assert gain_of_iso(np.float32(iso_of_gain(tenths / 10))) == tenths / 10
+    for iso in (50.0, 100.0, 125.0, 316.0, 3200.0, 316.3):
+        assert gain_of_iso(iso) is None
