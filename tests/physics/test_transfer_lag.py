@@ -7,7 +7,7 @@ import pytest
 
 from cannoise_jax.mechanisms import LISTED
 from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable
-from cannoise_jax.physics.transfer.estimators.lag import image_lag
+from cannoise_jax.physics.transfer.estimators.lag import _doubt, _seen, image_lag
 from cannoise_jax.physics.transfer.frames import frame_statistics
 from cannoise_jax.physics.transfer.model import find_mechanisms, sensor_model
 from cannoise_jax.physics.transfer.photon_transfer import photon_transfer
@@ -57,6 +57,17 @@ def test_its_error_is_that_of_repeats():
     found = [lag(recordings(0.02, 5, seed=n))["fraction"] for n in range(12)]
     off = np.array([(e.value - 0.02) / e.stderr for e in found])
     assert abs(off.mean()) < 3 / 12**0.5 and 0.5 < off.std() < 1.6
+
+
+@pytest.mark.parametrize("count", (3, 4, 7, 20))
+def test_what_the_mean_of_the_frames_takes_is_that_of_the_matrices(count):
+    following = np.eye(count, k=1) + np.eye(count, k=-1)
+    others = 1 - np.eye(count) - following
+    mean = np.eye(count) - 1 / count
+    weights = mean @ (following / following.sum() - others / others.sum()) @ mean
+    assert _seen(count) == pytest.approx(2 * np.trace(weights, 1))
+    product = (1 - 1 / count) ** 2 * (1 + 2 / (count - 1) ** 2)
+    assert _doubt(count) == pytest.approx(2 * np.sum(weights**2) / product)
 
 
 def test_electrons_that_stay_one_by_one_leave_shot_noise_as_it_is():

@@ -54,8 +54,10 @@ def two_offsets(statistics: Sequence[FrameStatistics]) -> str:
     if seen is None:
         return ""
     channels = (seen.channel[:, None] == np.unique(seen.channel)).astype(float)
-    by_light = _line(channels * seen.seconds[:, None], seen.signal, _STEADY * seen.signal)
     error = np.hypot(seen.error, _STEADY * seen.shot)
+    if not error.all():
+        return ""
+    by_light = _line(channels * seen.seconds[:, None], seen.signal, _STEADY * seen.signal)
     by_noise = _line(channels * seen.signal[:, None], seen.shot, error)
     if by_light is None or by_noise is None or by_noise.slope <= 0:
         return ""

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from cannoise_jax.physics.transfer.estimate import Estimates, NotMeasurable
 from cannoise_jax.physics.transfer.estimators.neighbours import residuals, solved, through
@@ -79,7 +78,7 @@ def image_lag(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates
     read = 0.0
     if dark is not None and dark.recording.count >= _LEAST_FRAMES:
         unlit = _shared(dark)
-        alike = unlit.value / unlit.variance > _AS_DARK * lit.value / lit.variance
+        alike = unlit.value * lit.variance > _AS_DARK * lit.value * unlit.variance
         if alike and unlit.value > _SURE * unlit.error:
             return _AVERAGED
         read = unlit.variance
@@ -114,23 +113,15 @@ def _shared(s: FrameStatistics) -> _Shared:
     return _Shared(value, float(error), square / pixels / pairs + _in_mean(value, count))
 
 
-def _weights(count: int) -> Float[np.ndarray, "T T"]:
-    """By which the products of frames, less their mean, are taken together."""
-    following = np.eye(count, k=1) + np.eye(count, k=-1)
-    others = 1 - np.eye(count) - following
-    mean = np.eye(count) - 1 / count
-    return mean @ (following / following.sum() - others / others.sum()) @ mean
-
-
 def _seen(count: int) -> float:
-    """Of what frames share with the next, what is left once the mean of all is taken out."""
-    return float(2 * np.trace(_weights(count), 1))
+    """Of what frames share with the next beyond later ones, what the mean of all, taken out, leaves."""
+    return 1 - 2 / (count * (count - 1))
 
 
 def _doubt(count: int) -> float:
-    """Variance of the weighted products of independent frames, in the mean square of one product."""
-    product = (1 - 1 / count) ** 2 * (1 + 2 / (count - 1) ** 2)
-    return float(2 * np.sum(_weights(count) ** 2) / product)
+    """Variance of that of independent frames, in the mean square of a product of two of them: traces of the
+    products of the weights with the projection that takes the mean out."""
+    return (count + 1) * count**2 / ((count - 1) ** 2 * ((count - 1) ** 2 + 2))
 
 
 def _in_mean(shared: float, count: int) -> float:
