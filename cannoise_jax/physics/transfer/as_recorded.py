@@ -26,7 +26,7 @@ def as_recorded(
     if base is None:
         return ()
     measured = [f for f in findings if f.measured]
-    smooth = ", ".join(f.mechanism for f in measured if f.estimator.smooths)
+    smooth = ", ".join(f.mechanism.replace("_", " ") for f in measured if f.estimator.smooths)
     bent = ", ".join(f.mechanism for f in measured if f.estimator.corrects)
     gain, read = (float(np.mean(np.asarray(v)[0])) for v in (model.gain_dn_per_e, model.read_noise_e))
     table = float(np.mean(base.gain)), float(np.mean(base.read_noise_e))
