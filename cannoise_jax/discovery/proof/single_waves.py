@@ -28,8 +28,8 @@ _NEAR = 0.02
 
 
 def one_of_many(steps: Sequence[Step], n: int, whole: Compared) -> Doubt | None:
-    """What speaks against a step that names a wave redrawn in every frame; None: nothing does, or it names
-    none. whole: the darks beside draws with all that was found."""
+    """What speaks against a step that names a wave, new in every frame or what is in the mean of all; None:
+    nothing does, or it names none. whole: the darks beside draws with all that was found."""
     waves = [s for s in steps if _names_wave(s)]
     darks = tuple(f for f in steps[n].before if f.kind in DARK)
     if not _names_wave(steps[n]) or not darks:
@@ -48,8 +48,7 @@ def one_of_many(steps: Sequence[Step], n: int, whole: Compared) -> Doubt | None:
 
 def _names_wave(step: Step) -> bool:
     axes = step.named.signature.axes
-    found = (axes.law, axes.time, axes.scales) == (WAVE, "redrawn", "additive")
-    return found and step.named.mechanism != UNKNOWN
+    return (axes.law, axes.scales) == (WAVE, "additive") and step.named.mechanism != UNKNOWN
 
 
 def _of_any(frequency: tuple[float, float], waves: Sequence[Step]) -> bool:
