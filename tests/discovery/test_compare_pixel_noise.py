@@ -50,6 +50,15 @@ def test_pixels_that_are_alike_are_left_alike():
     assert drawn.odd.mean() == pytest.approx(1e-3, abs=1e-3)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_the_noisiest_of_pixels_that_are_alike_are_not_drawn_noisier(seed):
+    ratio = np.random.default_rng(seed).chisquare(9, SIZE) / 9
+    assert variances(ratio, 9, Spread(0.0, 0.0), 1).odd.sum() <= 2  # of thirty that stand out
+    ratio[::16, ::16] *= 9  # one in 256 is
+    found = variances(ratio, 9, Spread(0.0, 0.0), 1).odd
+    assert found[::16, ::16].mean() > 0.8 and found.sum() < 1.2 * found[::16, ::16].size
+
+
 def test_tails_of_noise_are_no_matter_of_pixels():
     """Contrasts of the same frames share a frame far out: their squares go together."""
     rng = np.random.default_rng(4)

@@ -27,6 +27,8 @@ _LEAST = 2e-3
 """Variance of the variances below which pixels count as alike: noise of 4 % more or less."""
 _ODD = 1e-3
 """Chance from which on a pixel stands out of the others."""
+_FALSE = 0.1
+"""Share of the pixels told as noisy that may be so by chance."""
 _ROUNDS = 4
 """In which pixels that stand out are told anew: where variances scatter by 0.1 the first finds half of it."""
 _LOWEST = 0.02
@@ -91,6 +93,18 @@ def stand_out(ratio: Float[np.ndarray, "*n"], dof: int, spread: float = 0.0) -> 
     return ratio > limit
 
 
+def _noisy(ratio: Float[np.ndarray, "*n"], dof: int, spread: float) -> Bool[np.ndarray, "*n"]:
+    """The pixels that `stand_out`, as far as they are more than chance puts there: of pixels that are alike
+    one in a thousand does, and would be drawn as noisy as it happened to be (Benjamini and Hochberg)."""
+    out = stand_out(ratio, dof, spread)
+    shape = 2 + 1 / spread if spread else np.inf
+    law = stats.f(dof, 2 * shape, scale=(shape - 1) / shape) if spread else stats.chi2(dof, scale=1 / dof)
+    chance = np.sort(law.sf(ratio[out]))
+    expected = chance * ratio.size / np.arange(1, chance.size + 1)
+    told = np.flatnonzero(expected < _FALSE)
+    return out & (law.sf(ratio) <= chance[told[-1]]) if told.size else np.zeros_like(out)
+
+
 class Spread(NamedTuple):
     """Variance of the pixels' variances, recorded and as the simulator draws it by a law of its own, 0
     where that may be chance; the first is no smaller."""
@@ -114,7 +128,7 @@ def variances(ratio: Float[np.ndarray, "h w"], dof: int, spread: Spread, seed: i
     like fewer contrasts. ratio: mean square of the contrasts of every pixel over that of the bulk; dof: their
     number; spread: u.
     """
-    odd, kept = stand_out(ratio, dof, spread.value), ~stand_out(ratio, dof)
+    odd, kept = _noisy(ratio, dof, spread.value), ~stand_out(ratio, dof)
     more = spread.value - spread.drawn
     if not more > 0:
         return Variances(np.where(odd, ratio, 1.0), odd, 1.0, kept)
