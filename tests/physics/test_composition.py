@@ -68,3 +68,13 @@ def test_closed_form_of_a_composition_is_what_is_drawn(name):
     assert found.mean() == pytest.approx(total.mean(), rel=0.18 if "light" in name else 0.04)
     if "light" not in name:
         assert np.abs(found / total - 1).max() < 0.3
+
+
+def test_closed_form_is_finite_where_a_mechanism_left_less_than_shot_noise():
+    """Its slope too, by which what comes behind it passes the noise on: what is left of read noise there is
+    none, and the slope of a root at 0 is infinite."""
+    model = BASE.with_mechanism("crosstalk", fraction=0.3).with_mechanism("hot_pixel_suppression", weight=0.2)
+    clean = jnp.linspace(0.2, 0.8, SIZE[0] * SIZE[1]).reshape(1, *SIZE)
+    context = context_of(model, clean, SETTINGS)
+    mean, variance = chain.closed_form(model, context, resolve(model, context))
+    assert np.isfinite(np.asarray(mean)).all() and np.isfinite(np.asarray(variance)).all()

@@ -107,7 +107,9 @@ def seen_at(context: Context, mean: Array, variance: Array | None = None) -> Con
     least = variance / jnp.where(mean > 0, mean, 1.0)
     gain = jnp.where(mean > 0, jnp.minimum(context.gain_dn_per_e, least), context.gain_dn_per_e)
     gain = jnp.maximum(gain, 1e-12)
-    read = jnp.sqrt(jnp.maximum(variance - gain * mean, 0.0)) / gain
+    rest = variance - gain * mean
+    # The slope of a root at 0 is infinite, and times 0 no number.
+    read = jnp.where(rest > 0, jnp.sqrt(jnp.where(rest > 0, rest, 1.0)), 0.0) / gain
     return dataclasses.replace(context, mean_dn=mean, gain_dn_per_e=gain, read_noise_e=read)
 
 
