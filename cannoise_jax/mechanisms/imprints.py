@@ -61,7 +61,9 @@ IN_MEANS = (
 HITS = (*_SHAPE, *_BLINKS, *IN_FRAMES, *IN_MEANS)
 NO_RESPONSE = (*_SHAPE, *_BENT, *IN_MEANS)
 CORRECTED = (*_SHAPE, *_BLINKS, *_IN_CAMERA, *_ANY_LAG, "lags_crosstalk")
-PEAKS = (*_SHAPE, "pixel_spread", *_IN_CAMERA, *_ANY_LAG, *_LEVELS, "black_level", *_BENT)
+PEAKS = (*_SHAPE, "pixel_spread", *_IN_CAMERA, *_ANY_LAG, "black_channels", "black_level", *_BENT)
+"""What a clamp imprints on. It lowers the levels of all darks by a share of their noise, and makes none rise
+with the exposure: the dark level is asked for beside it."""
 LAG = (
     *(*_FRAMES, *_FACTORS_OF_LINES, *_SLOPES, *_TILES_REDRAWN, "site_relative_redrawn", "flicker"),
     *("reference_scale", "description_scale", "reference_blur", "reference_spread", "scene_static"),

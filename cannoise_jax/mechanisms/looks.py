@@ -29,6 +29,7 @@ from cannoise_jax.signatures import (
     memory,
     modulated,
     motion,
+    moved_tiles,
     moving_taps,
     noisy_lines,
     patterns,

@@ -40,6 +40,11 @@ _ALWAYS: tuple[Signature, ...] = (
     looks.smooth_maps.staying(name="smooth_additive", scaling="additive", covers=looks.GLOW, before=_CUT),
     # Converters, multiplexers and corrections that work through small tiles.
     looks.repeats.staying(name="repeating", covers=looks.DARK_LEVELS, before=_FOLDED),
+    looks.moved_tiles.moving(
+        name="repeating_redrawn",
+        covers=looks.DARK_LEVELS,
+        before=(*imprints.WAVES, *imprints.IN_FRAMES, *_FOLDED, "repeating"),
+    ),  # fmt: skip
     looks.covariance.any_lag("white", name="lags_any", covers=imprints.BLENDS),
     looks.covariance.any_lag("read", name="lags_read", covers=imprints.BLENDS),
     looks.shape.tails(name="light_tails", heavy=False, covers=looks.NOISY),

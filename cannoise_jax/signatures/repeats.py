@@ -36,10 +36,10 @@ from cannoise_jax.signatures.signature import (
     Signature,
 )
 
-_SHORTEST, _LONGEST = 3, 32
+SHORTEST, LONGEST = 3, 32
 """Pixels of a period. Every second row or column is a parity's, which the mosaic and the electronics of lines
 share."""
-_TILES = 4
+TILES = 4
 """Periods in the frame, at least, along each side."""
 _FAR = 4.0
 """Robust standard deviations at which a pixel is cut: hot ones would stand for their place in the tile."""
@@ -61,7 +61,7 @@ class Tile(NamedTuple):
 
     def image(self, size: tuple[int, int]) -> Float[np.ndarray, "h w"]:
         """The pattern of every pixel."""
-        return _repeated(self.values, size)
+        return repeated(self.values, size)
 
 
 class _Folded(NamedTuple):
@@ -78,18 +78,18 @@ class _Folded(NamedTuple):
         return 0.5 * self.number * (ratio - 1 - float(np.log(ratio)))
 
 
-def _repeated(values: Float[np.ndarray, "p q"], size: tuple[int, int]) -> Float[np.ndarray, "h w"]:
+def repeated(values: Float[np.ndarray, "p q"], size: tuple[int, int]) -> Float[np.ndarray, "h w"]:
     rows, columns = (np.arange(n) % k for n, k in zip(size, values.shape, strict=True))
     return values[rows[:, None], columns]
 
 
-def _folded(values: Float[np.ndarray, "h w"], period: int) -> Float[np.ndarray, "p w"]:
+def folded(values: Float[np.ndarray, "h w"], period: int) -> Float[np.ndarray, "p w"]:
     """Sums over rows that lie whole periods apart."""
     short = -len(values) % period
     return np.pad(values, ((0, short), (0, 0))).reshape(-1, period, values.shape[1]).sum(0)
 
 
-def _free(period: int) -> int:
+def free(period: int) -> int:
     """Values along one side of a tile beside their mean and what even ones have apart from odd ones."""
     return period - 1 - (period % 2 == 0)
 
@@ -121,13 +121,13 @@ def _folds(sums: LineSums) -> Iterator[_Folded]:
     """Folds of all periods that the frame holds often enough."""
     root = np.sqrt(sums.information)
     z, scale = _beside_lines(sums)
-    periods = [range(_SHORTEST, min(_LONGEST, n // _TILES) + 1) for n in z.shape]
+    periods = [range(SHORTEST, min(LONGEST, n // TILES) + 1) for n in z.shape]
     for p in periods[0] if scale > 0 else ():
-        score, information = _folded(z * root, p), _folded(sums.information, p)
+        score, information = folded(z * root, p), folded(sums.information, p)
         for q in periods[1]:
-            own, weight = _folded(score.T, q), _folded(information.T, q)
+            own, weight = folded(score.T, q), folded(information.T, q)
             power = float(np.sum(own**2 / np.maximum(weight, 1e-30))) / scale
-            yield _Folded(p, q, power, _free(p) * _free(q))
+            yield _Folded(p, q, power, free(p) * free(q))
 
 
 def _tile(sums: LineSums, periods: tuple[int, int]) -> Tile:
@@ -136,9 +136,9 @@ def _tile(sums: LineSums, periods: tuple[int, int]) -> Tile:
     seen = root > 0
     level = float(sums.score.sum() / sums.information.sum())
     z = _cut(np.where(seen, sums.score / np.maximum(root, 1e-15) - root * level, 0.0), seen)
-    score, information = (_folded(_folded(v, periods[0]).T, periods[1]).T for v in (z * root, root**2))
+    score, information = (folded(folded(v, periods[0]).T, periods[1]).T for v in (z * root, root**2))
     values = score / np.maximum(information, 1e-30)
-    scale = float(np.mean((z - root * _repeated(values, z.shape))[seen] ** 2))
+    scale = float(np.mean((z - root * repeated(values, z.shape))[seen] ** 2))
     return Tile(values - values.mean(), scale / np.maximum(information, 1e-30))
 
 
@@ -222,7 +222,7 @@ def staying(*, name: str, covers: tuple[str, ...], before: tuple[str, ...]) -> S
         if sums is None:
             return None
         size, tile = fields[0].mean.shape, _tile(sums, score.payload.values.shape)
-        return Predicted(tile.image(size), _repeated(tile.doubt, size), "additive")
+        return Predicted(tile.image(size), repeated(tile.doubt, size), "additive")
 
     def pattern(fields: Many, score: Score[Tile], rng: np.random.Generator) -> np.ndarray:
         return score.payload.image(fields[0].mean.shape)

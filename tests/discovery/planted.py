@@ -144,6 +144,11 @@ def _tile():
     return tile[ROWS % 6, COLUMNS % 4]
 
 
+def _moved_tiles(rng, f):
+    """Of 6 rows and 10 columns, of unit rms, new in every contrast."""
+    return rng.standard_normal((len(f.contrasts), 6, 10))[:, ROWS % 6, COLUMNS % 10]
+
+
 def _leak(f):
     """Light that leaks into darks as a stripe that fades along the rows: no fall from a corner or edge."""
     stripe = np.exp(-(((ROWS - 12) / 7.0) ** 2)) * np.exp(-COLUMNS / 20.0)
@@ -153,6 +158,7 @@ def _leak(f):
 OWN = {
     "smooth_additive": lambda rng, unit, f: 3 * _leak(f),
     "repeating": lambda rng, unit, f: 2 * _tile(),
+    "repeating_redrawn": lambda rng, unit, f: 2 * _moved_tiles(rng, f),
     "smooth_thermal": lambda rng, unit, f: 8 * f.exposure_s * _leak(f),
     "modulated_additive": lambda rng, unit, f: 2 * _swelling(rng, f),
     "modulated_relative": lambda rng, unit, f: 0.02 * f.signal * _swelling(rng, f) * f.lit,

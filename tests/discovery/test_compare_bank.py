@@ -9,6 +9,7 @@ import pytest
 from cannoise_jax.discovery.compare import better, compare, document, run
 from cannoise_jax.discovery.compare.families import FAMILIES, STATIC, TAILS, of
 from cannoise_jax.discovery.compare.light import light_of
+from cannoise_jax.discovery.compare.measure import unsteady
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
 from tests.discovery.capture import capture_set
 
@@ -66,6 +67,19 @@ def test_too_little_and_too_much_are_told_apart(plain, alter, name):
     for found, sign in ((little, 1), (much, -1)):
         assert found.verdict == "differs"
         assert {d.sign for d in found.differences if d.what == name} == {sign}
+
+
+def test_quiet_pixels_of_few_codes_are_not_counted_by_where_a_limit_lies():
+    """Noise of a code or so: a hundredth of its variance more moves no pixel from one side to the other."""
+    rng, n, step = np.random.default_rng(7), 3, 1 / 1.2
+    z = np.round(rng.standard_normal((n + 1, 40_000)) / step) * step
+    mean_square = z.var(0, ddof=1)
+    chance = unsteady(np.mean(rng.standard_normal((n, 40_000)) ** 2, 0), n, 0.0).values[0]
+    shown = [unsteady(k * mean_square / mean_square.mean(), n, step).values[0] for k in (0.97, 1.0, 1.03)]
+    for quiet in (4, 5):
+        counts = np.array([s[quiet] for s in shown])
+        assert np.ptp(counts) < 0.2 * counts.mean()
+        assert counts.mean() == pytest.approx(chance[quiet], rel=0.4)
 
 
 def slope(dn_across):

@@ -132,6 +132,17 @@ def test_findings_stay_beside_a_remainder_that_does_no_better_alone():
         assert entered == {"findings", "remainder"}
 
 
+@pytest.mark.parametrize("error, enters", [(0.024, False), (0.015, True)])
+def test_an_area_above_a_half_by_chance_lets_no_remainder_in(error, enters):
+    """Of recordings that the area tells from the draws by 1.7 standard errors one in twenty is a null."""
+    bench = Bench({"given": 0.4, "ab": 0.0416, "ab+": 0.0, "a+": 0.0, "given+": 0.0})
+    found, sides = gated(bench)
+    area = Area(-0.0416, -0.08, -0.005, error, 20)
+    bench.change = lambda before, after: area
+    found = gate_module.remaining(found, bench, sides, ("a", "b"), ("a", "b"), lambda model: model + "+")
+    assert found.remainder == enters
+
+
 @pytest.mark.parametrize("nearer, handed_back", [(0.1, ["ab", "a"]), (0.4, ["ab", "a", "given"])])
 def test_what_may_be_handed_back_where_more_differs_than_before(nearer, handed_back):
     """Without the remainder, without what has no name, and as it was given where none of it helps."""

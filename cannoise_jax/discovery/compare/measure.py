@@ -97,10 +97,7 @@ def measure(
         for name, law, width in _unit_families(seen.kept.shape, size * share):
             families[of(TEMPORAL, name)] = Statistics(law, np.stack([r[name] for r in rows]), width)
         power = np.sum([bank.power(z, share) for z in seen.z], 0)
-        limits = np.array([stats.chi2.isf(p, n) / n for p in UNSTEADY_CHANCES])
-        over = [(seen.steadiness[seen.usable] > t).sum() for t in limits]
-        under = [(seen.steadiness[seen.usable] < stats.chi2.ppf(p, n) / n).sum() for p in QUIET_CHANCES]
-        families[UNSTEADY] = _count(np.array([[*over, *under]]))
+        families[UNSTEADY] = unsteady(seen.steadiness[seen.usable], n, grain)
         families[LEVELS] = _count(seen.levels[None])
         unlike, width = noise_of_lines(seen.z, seen.kept)
         families[LINE_NOISE] = Statistics("mean", unlike[None], width)
@@ -137,6 +134,20 @@ def measure(
         counts = [(values < t).sum() if t < 0 else (values > t).sum() for t in STANDING_SIGMAS]
         families[STANDING_OUT] = _count(np.array([counts]))
     return Measured(families, power, n, seen.static, coarse, seen.kept.shape[1])
+
+
+def unsteady(steadiness: Float[np.ndarray, "p"], n: int, grain: float) -> Statistics:
+    """Pixels noisier and quieter than the others. steadiness: mean square of n contrasts. grain: step of the
+    codes, standard deviations. Of few codes a mean square has few values, and a limit between two of them
+    would jump with the level: contrasts are moved at random by as much as rounding moves them."""
+    if grain > _FINE:
+        rng, more = np.random.default_rng(1), grain**2 / 12
+        along = np.sqrt(n * steadiness) + np.sqrt(more) * rng.standard_normal(steadiness.shape)
+        across = more * rng.chisquare(n - 1, steadiness.shape) if n > 1 else 0.0
+        steadiness = (along**2 + across) / (n * (1 + more))
+    over = [(steadiness > stats.chi2.isf(p, n) / n).sum() for p in UNSTEADY_CHANCES]
+    under = [(steadiness < stats.chi2.ppf(p, n) / n).sum() for p in QUIET_CHANCES]
+    return _count(np.array([[*over, *under]]))
 
 
 _STILL = 3.0

@@ -53,6 +53,11 @@ WORTH_ALL = 0.05
 anew for another unit and taken to other settings is worth that much."""
 
 
+BY_CHANCE = 0.01
+"""Chance by which the area alone may let the remainder in: it is tried where the recordings are told from the
+draws, which one null in twenty is by chance, and whatever is drawn next is then nearer."""
+
+
 FARTHER = 0.01
 """By how much the two-sample area may rise with the remainder, however sure: what one gain setting gains must
 not be at the cost of another."""
@@ -86,7 +91,12 @@ class Tried(NamedTuple):
     @property
     def better(self) -> bool:
         """Whether one measure improved beyond its interval, and none became worse."""
-        return not self.worse and ((self.score is not None and self.score.low > self.least) or self.nearer)
+        return not self.worse and (self.scored or self.nearer)
+
+    @property
+    def scored(self) -> bool:
+        """Whether the composite score improved beyond its interval."""
+        return self.score is not None and self.score.low > self.least
 
     @property
     def nearer(self) -> bool:
@@ -218,7 +228,7 @@ def remaining(
         if some:
             tried = tried._replace(least=max(LEAST_GAIN, OF_GAIN * _gained(spare)))
         nearer = tried.nearer or (len(some) == len(gated.steps) and not _farther(tried))
-        enters = tried.better and nearer
+        enters = tried.better and nearer and (tried.scored or _surely(tried))
         if gated.steps and not some:
             enters = enters and tried.area is not None and tried.area.value < -WORTH_ALL
         tried = tried._replace(entered=enters)
@@ -233,6 +243,10 @@ def remaining(
         if enters:
             gated = gated._replace(model=candidate, after=looked, steps=some, remainder=True, spare=spare)
     return gated
+
+
+def _surely(tried: Tried) -> bool:
+    return tried.area is not None and tried.area.below(BY_CHANCE)
 
 
 def _farther(tried: Tried) -> bool:

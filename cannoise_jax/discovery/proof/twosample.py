@@ -77,6 +77,11 @@ class Area(NamedTuple):
             return self.low
         return min(self.low, self.value - float(stats.t.isf(0.05, self.freedom)) * self.error)
 
+    def below(self, chance: float) -> bool:
+        """Whether it lies below 0 by more than this chance allows, and by its interval."""
+        least = float(stats.t.isf(chance, self.freedom)) * self.error if np.isfinite(self.error) else 0.0
+        return self.high < 0 and self.value + least < 0
+
 
 class TwoSample(NamedTuple):
     """Areas before and after; change: of what they are above 0.5 (None: nothing was added). patches: to a
