@@ -10,7 +10,8 @@ from cannoise_jax.commands.calibrate import calibrate
 from cannoise_jax.mechanisms import MECHANISMS
 from cannoise_jax.mechanisms.coverage import BLACK, GAIN, READ_E, WHITE, assumed_baseline
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
-from cannoise_jax.physics.transfer.estimate import NotMeasurable, normal_estimate
+from cannoise_jax.physics.transfer.estimate import Estimate, NotMeasurable, normal_estimate
+from cannoise_jax.physics.transfer.estimators import loudness
 from cannoise_jax.physics.transfer.estimators.loudness import _negative
 from cannoise_jax.physics.transfer.estimators.maps import pixel_read_noise_map
 from cannoise_jax.physics.transfer.estimators.noise import heavy_tails
@@ -161,3 +162,18 @@ def test_a_fit_that_steps_far_out_has_finite_values():
     for far in (-2000.0, 2000.0):
         at = np.array([far, 0.5, 0.0, 0.0])
         assert np.isfinite(_negative(series, (np.zeros(1), np.zeros(1)), ("telegraph",), at))
+
+
+def test_jumps_without_a_size_explain_nothing_beside_others(monkeypatch):
+    """Where a fit of all together ends with jumps at the least that can be seen, whose size nothing tells."""
+    whole = loudness._estimates
+
+    def unsure(series, offsets, laws, x, sigma):
+        found = whole(series, offsets, laws, x, sigma)
+        if "telegraph" in laws and len(laws) > 1:
+            found["telegraph"]["jump_dn"] = Estimate(2.0, 5000.0, (2.0, 17000.0))
+        return found
+
+    monkeypatch.setattr(loudness, "_estimates", unsure)
+    found = causes(statistics(("heavy_tails", "rts"), size=(48, 64)))
+    assert tuple(found) == ("heavy_tails",)

@@ -101,7 +101,20 @@ def explanation(
         if better == best:
             break
         best = better
-    return Explanation(best, _estimates(series, offsets, best, fits[best][1], sigma))
+    explained = Explanation(best, _estimates(series, offsets, best, fits[best][1], sigma))
+    if len(best) == 1 or _told(explained.estimates):
+        return explained
+    others: dict[Law, Mapping[str, Estimate]] = {law: found[law] for law in best if law != "telegraph"}
+    return explanation(dark, others, seed, gain)
+
+
+def _told(estimates: Mapping[Law, Mapping[str, Estimate]]) -> bool:
+    """Whether jumps among what explains the dark have a size: those whose interval spans more than a factor
+    of two on either side stand for what is left of the spread of the noise."""
+    if "telegraph" not in estimates:
+        return True
+    low, high = estimates["telegraph"]["jump_dn"].ci90
+    return high < low * 4**Z90
 
 
 def _ends(laws: Sequence[str]) -> np.ndarray:

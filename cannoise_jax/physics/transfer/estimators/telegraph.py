@@ -39,6 +39,9 @@ _CHANCES = 4000
 """Pixels drawn to tell how much the variances of such jumps differ by chance: to two percent."""
 _LEAST_NATS = 12.0
 """Log likelihood that jumps have to gain over pixels that are only noisier: see `dark_pixels`."""
+_UNSURE = float(np.log(2))
+"""Standard error of the logarithm of a jump beyond which its size is not known: a factor of two."""
+_NOT_TOLD = NotMeasurable("jumps of so many pixels are not told from unlike noise: record more darks")
 
 
 def rts(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
@@ -87,8 +90,10 @@ def rts(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     )
     errors = fit_errors(curvature)
     if errors is None:
-        return NotMeasurable("jumps of so many pixels are not told from unlike noise: record more darks")
+        return _NOT_TOLD
     errors = np.asarray(errors) * np.sqrt(times[0])  # the loud pixels that were not taken tell nothing
+    if errors[0] > _UNSURE:
+        return _NOT_TOLD
     sides = np.array([-Z90, 0.0, Z90])
     jumps = np.exp(fit.x[0] + errors[0] * sides) * sigma
     shares = [special.expit(fit.x[k] + errors[k] * sides) for k in (1, 2)]
