@@ -25,6 +25,7 @@ from cannoise_jax.signatures.recorded import Recorded
 from cannoise_jax.signatures.score import ONE_PARAMETER, Score, student_log_p
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,
+    CONTRASTS,
     COVERS_NOTHING,
     NO_CLOSED_FORM,
     NO_LAW,
@@ -51,7 +52,7 @@ def _of_blocks(field: Fields) -> tuple[np.ndarray, np.ndarray] | None:
     power = np.einsum("nij,nij->ij", field.contrasts, field.contrasts) / n * (field.sigma * field.louder) ** 2
     power = power * (n / stats.chi2.median(n))
     assert field.static is not None
-    level = field.mean + field.static * field.sigma / np.float32(np.sqrt(field.frames))
+    level = field.mean + field.charged + field.static * field.sigma / np.float32(np.sqrt(field.frames))
     out = []
     for rows in np.array_split(np.arange(level.shape[0]), _SIDE):
         for columns in np.array_split(np.arange(level.shape[1]), _SIDE):
@@ -137,7 +138,7 @@ def beside_level(recorded: Recorded, *, name: str, rate: str, share: str) -> tup
         Signature(
             name=name,
             axes=Axes("pixel", "pixel", "redrawn", "exposure", "poisson"),
-            reads=frozenset({"mean", "sigma", "louder", "contrasts", "static", "usable"}),
+            reads=CONTRASTS | frozenset({"mean", "charged", "static"}),
             score=excess_score,
             absorb=unchanged,
             covers=COVERS_NOTHING,
