@@ -8,6 +8,9 @@ from jaxtyping import Bool, Float
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.signatures.fields import Fields, channel_index
 
+_FAR = 6.0
+"""Standard deviations from which on what a pixel collects is its own, whatever the others collect."""
+
 
 def louder(field: Fields, variance: np.ndarray) -> Fields:
     """The field where some noise is known to grow over the frame, DN^2, the rest of it fitted to what the
@@ -44,11 +47,13 @@ def _growth(field: Fields, variance: np.ndarray) -> Float[np.ndarray, "h w"]:
 
 
 def _level_out(field: Fields, static: np.ndarray) -> Fields:
-    """The field without the level of each channel that its static part holds by its weights of now."""
+    """The field without the level of each channel that its static part holds by its weights of now. Pixels
+    that stand out have no part in it: they would take what they collect from all others."""
     weight, channel = field.weight, channel_index(field.mean.shape)
     level = np.zeros(4, np.float32)
+    like = np.abs(static) < _FAR * max(robust_std(static[field.usable], 0.0), 1.0)
     for c in range(4):
-        at = channel == c
+        at = (channel == c) & like
         level[c] = np.sum(weight[at] * static[at]) / max(float(np.sum(weight[at] ** 2)), 1e-30)
     return field._replace(static=static - weight * level[channel])
 
@@ -79,8 +84,6 @@ def steadied(
     return tuple(own(f) for f in fields)
 
 
-_FAR = 6.0
-"""Standard deviations above the others from which on what a pixel collects is its own, whatever they do."""
 _LEAST = 0.1
 """Least variance that pixels of less charge than the mean keep."""
 

@@ -16,16 +16,16 @@ slopes of the blocks scatter by all that is random in them, which gives the stan
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
 from scipy import stats
 
 from cannoise_jax.recordings.recording import DARK
-from cannoise_jax.signatures.fields import Fields, channel_index
+from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.handed import Addition, Found, Many
 from cannoise_jax.signatures.recorded import Recorded
 from cannoise_jax.signatures.score import ONE_PARAMETER, Score, student_log_p
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,
+    CONTRASTS,
     COVERS_NOTHING,
     NO_CLOSED_FORM,
     NO_LAW,
@@ -52,7 +52,7 @@ def _of_blocks(field: Fields) -> tuple[np.ndarray, np.ndarray] | None:
     power = np.einsum("nij,nij->ij", field.contrasts, field.contrasts) / n * (field.sigma * field.louder) ** 2
     power = power * (n / stats.chi2.median(n))
     assert field.static is not None
-    level = field.mean + field.static * field.sigma / np.float32(np.sqrt(field.frames)) + _taken_out(field)
+    level = field.mean + field.charged + field.static * field.sigma / np.float32(np.sqrt(field.frames))
     out = []
     for rows in np.array_split(np.arange(level.shape[0]), _SIDE):
         for columns in np.array_split(np.arange(level.shape[1]), _SIDE):
@@ -63,16 +63,6 @@ def _of_blocks(field: Fields) -> tuple[np.ndarray, np.ndarray] | None:
             out.append((float(np.median(power[at][kept])), float(np.median(level[at][kept]))))
     variance, levels = np.array(out).T
     return variance, levels
-
-
-def _taken_out(field: Fields) -> Float[np.ndarray, "h w"]:
-    """What a glow that was found took out of the level, DN: its charge is in the noise still. Where its form
-    is known it is where `charge_noise.louder` has put its noise, else the same everywhere."""
-    channel = channel_index(field.mean.shape)
-    whole = np.where(field.signal > 0, field.signal + field.black[channel] - field.mean, 0.0)
-    gain = field.gain[channel]
-    known = np.maximum(field.shot * field.sigma.astype(np.float64) ** 2 / gain - field.signal, 0.0)
-    return whole + known - known.mean() if whole.mean() > 0 else np.zeros_like(whole)
 
 
 def excess_score(fields: Many) -> Score | None:
@@ -148,7 +138,7 @@ def beside_level(recorded: Recorded, *, name: str, rate: str, share: str) -> tup
         Signature(
             name=name,
             axes=Axes("pixel", "pixel", "redrawn", "exposure", "poisson"),
-            reads=frozenset({"mean", "sigma", "louder", "contrasts", "static", "usable"}),
+            reads=CONTRASTS | frozenset({"mean", "charged", "static"}),
             score=excess_score,
             absorb=unchanged,
             covers=COVERS_NOTHING,

@@ -48,7 +48,7 @@ class Fields(NamedTuple):
     (None when its mean cannot be modelled); answers: of the static part to what else stays. step: code step,
     DN; number: place of the recording in its set; group: index of the gain setting. before: frames whose
     mean the last contrast is taken from, 0: none. unit: DN of the recording in one of all that is in DN here,
-    see `referred`.
+    see `referred`. charged: level of charge that was taken out of the mean, whose noise was not, DN.
     """
 
     name: str
@@ -72,6 +72,7 @@ class Fields(NamedTuple):
     answers: Answers = Answers()
     unit: float = 1.0
     louder: Float[np.ndarray, "h w"] | float = 1.0
+    charged: Float[np.ndarray, "h w"] | float = 0.0
 
     @property
     def lit(self) -> bool:
@@ -100,6 +101,7 @@ def referred(field: Fields, unit: float) -> Fields:
         mean=black + (field.mean - black) / np.float32(by),
         signal=field.signal / np.float32(by),
         sigma=field.sigma / np.float32(by),
+        charged=np.asarray(field.charged, np.float32) / np.float32(by),
         step=field.step / by,
         gain=field.gain / by,
         unit=unit,

@@ -11,8 +11,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy import special
+from scipy import ndimage, special
 
+from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.added import as_map, placed
 from cannoise_jax.signatures.answers import as_it_stays
@@ -88,8 +89,33 @@ def _strength(u: np.ndarray, i: np.ndarray, weights: np.ndarray) -> tuple[float,
     return mean, float(np.sqrt(share @ (1 / i + (u / i - mean) ** 2)))
 
 
+_NEAR, _ALONE = 5, 6.0
+"""Pixels of a site, a side, about one, and standard deviations from their median from which on it stands
+alone: a glow is where its neighbours are too."""
+
+
+def _like_neighbours(fields: tuple[Fields, ...]) -> tuple[Fields, ...]:
+    """The fields with pixels that stand alone in the darks at the level of those about them: a few hot ones
+    would tilt a fall over the whole frame."""
+
+    def one(f: Fields) -> Fields:
+        if f.static is None or f.lit:
+            return f
+        static = np.array(f.static)
+        for at in SITES:
+            about = ndimage.median_filter(static[at], _NEAR)
+            away = np.abs(static[at] - about)
+            # Where a glow is steep all of them are far from their median.
+            spread = np.maximum(1.4826 * ndimage.median_filter(away, _NEAR), 1.0)
+            static[at] = np.where(away > _ALONE * spread, about, static[at])
+        return f._replace(static=static)
+
+    return tuple(one(f) for f in fields)
+
+
 def glow_score(fields: tuple[Fields, ...]) -> Score[Glow] | None:
     """Light from a corner or edge in the darks, growing with the exposure where several are known."""
+    fields = _like_neighbours(fields)
     sums = sums_of_all(fields)
     if sums is None:
         return None
@@ -160,6 +186,7 @@ def _one(fields: tuple[Fields, ...], template: np.ndarray) -> tuple[float, float
 
 def glow_again(looked: Score[Glow], second: tuple[Fields, ...]) -> Score[Glow] | None:
     """The strength on other frames; place and reach are known from those that looked as far as both tell."""
+    second = _like_neighbours(second)
     sums = sums_of_all(second)
     if sums is None:
         return None
@@ -179,6 +206,7 @@ def glow_absorb(fields: tuple[Fields, ...], score: Score[Glow]) -> tuple[Fields,
     """Subtracts the glow from the darks, in proportion to the exposure."""
     glow = score.payload
     level = _level(fields, glow)
+    whole = (glow.template - np.mean(glow.template)) * glow.strength + level
     out = []
     for f in fields:
         if f.static is None or f.lit:
@@ -186,7 +214,8 @@ def glow_absorb(fields: tuple[Fields, ...], score: Score[Glow]) -> tuple[Fields,
             continue
         scale = over_longest(f, glow.longest)
         fall = project(as_it_stays(f), glow.template * glow.strength * scale)
-        f = minus(f, fall)._replace(mean=f.mean - np.float32(level * scale))
+        charged = (f.charged + whole * scale).astype(np.float32)
+        f = minus(f, fall)._replace(mean=f.mean - np.float32(level * scale), charged=charged)
         if glow.formed:
             gain = f.gain[channel_index(f.mean.shape)]
             f = louder(f, gain * (glow.template - glow.template.min()) * glow.strength * scale)

@@ -8,9 +8,10 @@ from scipy import ndimage
 
 from cannoise_jax.discovery.frames.battery import prepare
 from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
+from cannoise_jax.signatures.dark_noise import excess_score
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.glow import glow_absorb, glow_again, glow_score
-from cannoise_jax.signatures.levels import dark_levels
+from cannoise_jax.signatures.levels import dark_levels, dark_rise
 from tests.discovery.capture import capture_set
 
 SIZE = (96, 128)
@@ -136,3 +137,26 @@ def test_a_glow_of_its_own_form_leaves_no_lines_and_no_level():
     (_, _, _), (_, level, _) = dark_levels(left)
     assert level.mean() == pytest.approx(2.0, abs=0.5)
     assert np.std(left[1].static) == pytest.approx(1, abs=0.1)
+
+
+def test_hot_pixels_beside_a_glow_take_no_dark_current_from_the_others():
+    """Nor does what the glow adds to the noise count as a dark current that was taken from the level."""
+    size, rng, seconds = (96, 128), np.random.default_rng(8), 0.1
+    y, x = np.indices(size)
+    glow = 120 * np.exp(-np.hypot(y, x) / 24.0)
+    hot = np.where(rng.random(size) < 0.004, 60 * rng.exponential(20.0, size), 0.0)
+    capture = capture_set(
+        9,
+        lambda r: lambda dn, signal, kind, t: dn + 1.5 * r.poisson((60 + glow + hot) * t / seconds, size),
+        kinds="df",
+    )
+    prepared = prepare(capture, all_frames(split_recordings(capture)), False)
+    fields = prepared.fields
+    score = glow_score(fields)
+    assert score is not None and score.payload.formed
+    left = glow_absorb(fields, score)
+    charge = dark_rise(dark_levels(left))[0] * seconds / 1.5
+    assert charge == pytest.approx(60, rel=0.08)
+    hidden = excess_score(left)
+    assert hidden is not None
+    assert hidden.amplitude * seconds < 3 * hidden.error * seconds + 2
