@@ -25,6 +25,9 @@ _BESIDE = 8
 """Columns, or rows, of one colour on either side of the middle that tell a step there."""
 _DEGREE = 4
 """Of the polynomial that the light along a side is taken for, so that its slope is no step."""
+_BANDS, _PART = 4, 0.3
+"""Of rows, or columns, that show a step between amplifiers each by itself, and of it what each shows at
+least: vignetted light leans in all of them."""
 _STEP, _OTHERS = 0.01, 8.0
 """Of the light, the step from which two halves have gains of their own, and times the usual step elsewhere:
 light is smooth, and columns differ all over the frame."""
@@ -60,7 +63,7 @@ def uneven_halves(flat: FrameStatistics | None, dark: FrameStatistics | None) ->
     light = flat.mean - dark.mean
     for lines, axis in (("columns", 0), ("rows", 1)):
         steps = [found for site in SITES if (found := _middle_step(np.median(light[site], axis=axis)))]
-        if len(steps) == len(SITES) and min(steps) * max(steps) > 0:
+        if len(steps) == len(SITES) and min(steps) * max(steps) > 0 and _all_along(light, axis, min(steps)):
             half = light.shape[1 - axis] // 2
             return (
                 f"the light of {flat.recording.path or 'the flats'} steps by {100 * np.mean(steps):+.2g} % "
@@ -68,6 +71,20 @@ def uneven_halves(flat: FrameStatistics | None, dark: FrameStatistics | None) ->
                 "gain, and what differs between pixels, are those of both: calibrate each half by itself"
             )
     return ""
+
+
+def _all_along(light: Float[np.ndarray, "h w"], axis: int, step: float) -> bool:
+    """Whether the light steps to the same side in every band of rows (axis 0) or columns, as amplifiers make
+    it do: shadows of dust in the middle do so over a part of it."""
+    for band in np.array_split(np.arange(light.shape[axis] // 2 * 2), _BANDS):
+        profile = np.median(np.take(light, band, axis), axis=axis)
+        middle = len(profile) // 2
+        left, right = (
+            float(np.median(profile[middle + a : middle + b])) for a, b in ((-_BESIDE, 0), (0, _BESIDE))
+        )
+        if (right / max(left, 1e-9) - 1) * np.sign(step) < _PART * abs(step):
+            return False
+    return True
 
 
 def _middle_step(profile: Float[np.ndarray, "n"]) -> float:
