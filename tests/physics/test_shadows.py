@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from cannoise_jax.mechanisms import MECHANISMS
 from cannoise_jax.physics.transfer.defects import shadows_line
@@ -81,3 +82,26 @@ def test_shadows_over_a_tenth_of_a_small_frame_are_told_as_well(seed):
     assert found.value == pytest.approx(100 * PRNU, rel=0.05)
     sigma = MECHANISMS["prnu"].estimator.measure(statistics, None)["sigma"]
     assert sigma.value == pytest.approx(PRNU, rel=0.06)
+
+
+def rings(seed):
+    """Of twelve grains out of focus, 3 to 15 % deep."""
+    rng, light = np.random.default_rng(seed), LENS.copy()
+    for _ in range(12):
+        row, column, radius = rng.integers(10, 118), rng.integers(10, 118), rng.uniform(4, 9)
+        away = np.hypot(Y - row, X - column)
+        light *= 1 - rng.uniform(0.03, 0.15) * ((away < radius) & (away > 0.35 * radius))
+    return ndimage.gaussian_filter(light, 0.8)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_many_rings_of_dust_are_no_sensitivities_of_pixels_or_columns(seed):
+    statistics = taken(rings(seed))
+    assert "shadows as of dust" in shadows_line(statistics)
+    transfer = of_all_pixels(transfer_at(statistics))
+    (prnu,) = transfer.outcomes("PRNU1288")
+    assert prnu.value == pytest.approx(100 * PRNU, rel=0.06)
+    found = MECHANISMS["prnu"].estimator(statistics, transfer.baseline)
+    assert found["sigma"].value == pytest.approx(PRNU, rel=0.06)
+    columns = MECHANISMS["column_gain"].estimator(statistics, transfer.baseline)
+    assert columns["sigma"].value < 1e-3

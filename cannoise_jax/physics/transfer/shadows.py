@@ -21,6 +21,9 @@ _DEEP = 0.02
 _SINGLE = 4.0
 """Robust standard deviations of the pixels, or twice `_DEEP`, at which each counts at most: dead pixels are
 no shadow, however little light they show."""
+_CAPPED = 0.8
+"""Of what single pixels count for at most, from which on a mean is far out as well: many shadows bend the
+surface that stands for the light, so that all means lie far from it, and none by six of their spreads."""
 _MOST = 0.3
 """Share of the frame up to which shadows are; more is uneven light."""
 
@@ -41,6 +44,6 @@ def in_shadow(
     means = np.where(share > 0.5, means, 0.0)
     spread = max(robust_std(means[share > 0.5], 0.0) if (share > 0.5).any() else 0.0, 1e-9)
     places, _ = ndimage.label(means < -_SKIRT * spread)
-    deep = np.unique(places[means < -max(_FAR * spread, _DEEP)])
+    deep = np.unique(places[means < -max(min(_FAR * spread, _CAPPED * room), _DEEP)])
     found = np.isin(places, deep[deep > 0])
     return found if found.mean() <= _MOST else none

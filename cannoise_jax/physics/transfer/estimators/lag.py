@@ -96,15 +96,17 @@ def _late(share: float) -> float:
 def _shared(s: FrameStatistics) -> _Shared:
     """Covariance with the next frame less that with later ones, over all pixels."""
     next_ones, square, spread, before = 0.0, 0.0, 0.0, None
+    # Pixels that a shadow or a spot came over have changed for good.
+    used = ~s.clipped[:, _APART:] & ~s.clipped[:, :-_APART]
     for frame in residuals(s):
-        rest = (frame[:, _APART:] - frame[:, :-_APART]) / np.sqrt(2)
+        rest = used * (frame[:, _APART:] - frame[:, :-_APART]) / np.sqrt(2)
         square += float(np.sum(rest**2))
         if before is not None:
             product = rest * before
             next_ones += float(product.sum())
             spread += float(np.sum(product**2))
         before = rest
-    count, pixels = s.recording.count, s.mean.size - _APART * len(s.mean)
+    count, pixels = s.recording.count, max(int(used.sum()), 1)
     pairs, others = count - 1, (count - 1) * (count - 2) // 2
     # All frames add up to nothing: what pairs share, over all of them, is half of what each has, less.
     later = -square / 2 - next_ones

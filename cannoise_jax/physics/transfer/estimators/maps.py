@@ -89,12 +89,12 @@ def response_pattern(flat: FrameStatistics, dark: DarkMap | None) -> Pattern:
     relative, light = np.empty(flat.mean.shape), np.empty(flat.mean.shape)
     keep = steady_pixels(flat) if dark is None else steady_pixels(flat) & dark.keep
     noise, dof, degree = 0.0, 0.0, 0
+    light_dn = flat.mean - flat.recording.black_map() - (0.0 if dark is None else dark.offsets)
+    if flat.recording.cfa == "MONO":  # of one colour, whose next pixels are nearer than those of a site
+        keep &= ~response_of(light_dn / float(np.mean(flat.level)), keep).shadow
     for c in range(4):
         level = flat.level[c]
-        signal = site(flat.mean, c) - flat.recording.black_level[c]
-        if dark is not None:
-            signal = signal - site(dark.offsets, c)
-        found = response_of(signal / level, site(keep, c))
+        found = response_of(site(light_dn, c) / level, site(keep, c))
         scale = float(np.sqrt(found.square))
         site(relative, c)[...] = found.pattern / scale
         site(light, c)[...] = found.light / scale
