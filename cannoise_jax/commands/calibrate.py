@@ -232,6 +232,7 @@ def _photon_transfers(capture: CaptureSet) -> tuple[tuple[PhotonTransfer, ...], 
             wrong.spots,
             wrong.longer,
             wrong.uneven,
+            wrong.halves,
         ):
             _warn(capture.camera, line)
     _warn(capture.camera, told([s for iso in order for s in alike[iso]]))

@@ -11,13 +11,13 @@ from cannoise_jax.physics.transfer.black import flat_seconds, reference_dark, st
 from cannoise_jax.physics.transfer.defects import bad_line, defects_line, shadows_line, spots_line
 from cannoise_jax.physics.transfer.estimate import NotMeasurable
 from cannoise_jax.physics.transfer.estimators.own_charge import holds_charge
-from cannoise_jax.physics.transfer.estimators.pick import brightest_flat
+from cannoise_jax.physics.transfer.estimators.pick import brightest_flat, darkest
 from cannoise_jax.physics.transfer.fit import Line
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.lost_bit import lost_bit
 from cannoise_jax.physics.transfer.quantities import SET_ASIDE, set_aside
 from cannoise_jax.physics.transfer.rails import STILL, contradicted_black, cut_off
-from cannoise_jax.physics.transfer.regions import uneven_halves, uneven_noise
+from cannoise_jax.physics.transfer.regions import drifting_halves, uneven_halves, uneven_noise
 from cannoise_jax.physics.transfer.several_gains import several_gains
 from cannoise_jax.physics.transfer.smoothed import flats_moving
 from cannoise_jax.physics.transfer.stated import codes_line, colours_line, exposures_lines, levels_line
@@ -45,8 +45,8 @@ class Faults(NamedTuple):
     flats and darks have not one scale, or half of them never occur. biases: they are no repeats of the
     darks. levels: frames of a dark lie at two. flats: their light moves. unlit: no light reaches a part of
     a flat. longer: the read noise is that of long darks. uneven: it, or the gain, differs between parts of
-    the frame. defects: pixels that show nothing. lines: columns and rows far from all others. shadows: of
-    dust. spots: of light, that move over flats.
+    the frame. halves: its darks have two, which move against each other. defects: pixels that show nothing.
+    lines: columns and rows far from all others. shadows: of dust. spots: of light, that move over flats.
     """
 
     cut_off: str = ""
@@ -57,6 +57,7 @@ class Faults(NamedTuple):
     unlit: str = ""
     longer: str = ""
     uneven: str = ""
+    halves: str = ""
     defects: str = ""
     lines: str = ""
     shadows: str = ""
@@ -96,7 +97,7 @@ def faults(statistics: Sequence[FrameStatistics], lines: Sequence[Line | NotMeas
         lights=lights, charge=charge, codes=lost_bit(parted) or codes_line(parted),
         biases=unlike_biases(parted, slope) if drawn else "", levels=levels_line(statistics),
         flats=flats_moving(parted) if drawn else "", unlit=unlit_line(parted), longer=_longer(statistics),
-        uneven=_uneven(parted), defects=defects_line(parted),
+        uneven=_uneven(parted), halves=drifting_halves(darkest(parted)), defects=defects_line(parted),
         lines=bad_line(parted), shadows=shadows_line(parted),
         spots=spots_line(parted),
     )  # fmt: skip

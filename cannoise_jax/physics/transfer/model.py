@@ -33,6 +33,7 @@ from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.maps import with_measured_maps, without_charge, without_repetition
 from cannoise_jax.physics.transfer.one_sensor import of_one_sensor
 from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer
+from cannoise_jax.physics.transfer.regions import drifting_halves
 from cannoise_jax.physics.transfer.smoothed import smoothed
 from cannoise_jax.physics.transfer.table import aligned, format_outcome, setting_of
 from cannoise_jax.recordings.recording import BadInput, Recording, iso_numbers
@@ -87,7 +88,8 @@ def find_mechanisms(
     """What the estimators of all entries say of the recordings of one setting, in their order. each: goes
     through them, one by one as they are measured."""
     asked = [e for e in entries if e.estimator is not None and not e.estimator.in_baseline]
-    blurred = NotMeasurable(why) if (why := smoothed(statistics)) else None
+    why = smoothed(statistics) or drifting_halves(darkest(statistics))
+    blurred = NotMeasurable(why) if why else None
     taken_out = [_judged(e, statistics, baseline) for e in asked if e.estimator and e.estimator.without]
     left = less_known(statistics, baseline, taken_out)
     found = {f.mechanism: f for f in taken_out}

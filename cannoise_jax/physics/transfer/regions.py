@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
+from scipy import stats
 
 from cannoise_jax.physics.transfer.fit import median_quotient
 from cannoise_jax.physics.transfer.frames import FrameStatistics
@@ -25,6 +26,8 @@ _BESIDE = 8
 """Columns, or rows, of one colour on either side of the middle that tell a step there."""
 _DEGREE = 4
 """Of the polynomial that the light along a side is taken for, so that its slope is no step."""
+_FRAMES, _BY_CHANCE = 4, 1e-6
+"""Frames that tell whether halves move, and the chance of as large a step in the middle of them."""
 _BANDS, _PART = 4, 0.3
 """Of rows, or columns, that show a step between amplifiers each by itself, and of it what each shows at
 least: vignetted light leans in all of them."""
@@ -52,6 +55,32 @@ def uneven_noise(dark: FrameStatistics) -> str:
     return (
         f"the noise of the dark differs between parts of the frame ({low:.3g} to {high:.3g} DN), as of "
         "amplifiers of their own: calibrate each part by itself (where it is a glow: record shorter darks)"
+    )
+
+
+def drifting_halves(dark: FrameStatistics | None) -> str:
+    """That the halves of a repeated dark move against each other from frame to frame, as the offsets of two
+    amplifiers do; empty where they do not. What columns do each by itself steps as much elsewhere."""
+    if dark is None or dark.variance is None or dark.recording.count < _FRAMES:
+        return ""
+    columns = dark.column_means.mean(1)
+    columns = columns - columns.mean(0)
+    if columns.shape[1] < 6 * _BESIDE:
+        return ""
+    sums = np.cumsum(np.pad(columns, ((0, 0), (1, 0))), axis=1)
+    means = (sums[:, _BESIDE:] - sums[:, :-_BESIDE]) / _BESIDE
+    power = np.mean((means[:, _BESIDE:] - means[:, :-_BESIDE]) ** 2, axis=0)
+    dof, at = dark.recording.count - 1, columns.shape[1] // 2 - _BESIDE
+    away = np.abs(np.arange(len(power)) - at) > _BESIDE
+    usual = float(np.median(power[away])) / median_quotient(dof)
+    if power[at] < stats.chi2.isf(_BY_CHANCE, dof) / dof * usual or power[at] < power[away].max():
+        return ""
+    half = columns.shape[1] // 2
+    moves = float(np.std(columns[:, half:].mean(1) - columns[:, :half].mean(1), ddof=1))
+    return (
+        f"the halves of the darks, left and right, move against each other by {moves:.2g} DN from frame to "
+        "frame, as of two amplifiers: noise that pixels share is not told beside that: calibrate each half "
+        "by itself"
     )
 
 
