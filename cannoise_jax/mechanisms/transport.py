@@ -152,7 +152,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("image_lag",
              "A frame keeps part of the charge of the frame before it.",
-             14, "sensor", "1", "fraction of the charge left behind", listed=45),
+             14, "sensor", "1", "fraction of the charge left behind", listed=34),
         IMAGE_LAG,
         needs="three frames or more of a flat, one after the other; a change from bright to dark tells more",
         signatures=lambda recorded: (

@@ -16,7 +16,7 @@ from cannoise_jax.recordings.recording import BadInput, Recording, name_of
 # What may drift from file to file while the setting stays the same.
 ALIKE_KELVIN = 2.5
 """Temperatures are one where the coldest and the warmest are this near."""
-_DRIFTING = ("temperature_c", "egain")
+_DRIFTING = ("temperature_c", "egain", "em_gain")
 
 
 def join_recordings(recordings: Sequence[Recording]) -> Recording:
@@ -40,6 +40,7 @@ def join_recordings(recordings: Sequence[Recording]) -> Recording:
         frames=frames,
         clean=clean,
         egain=first.egain if {r.egain for r in recordings} == {first.egain} else None,
+        em_gain=first.em_gain if {r.em_gain for r in recordings} == {first.em_gain} else None,
         temperature_c=float(np.mean(known)) if len(known) == len(recordings) else None,
     )
 

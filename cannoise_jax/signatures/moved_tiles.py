@@ -36,6 +36,8 @@ from cannoise_jax.signatures.signature import (
 
 _AROUND = 11
 """Frequencies, a side, that tell the level of the noise about one."""
+_LINE = 2.0
+"""Times the level about it, up to which a frequency tells that."""
 _STANDS_OUT = 1.25
 """Power of a value of the fold, in that of others, from which on it is no error of that level."""
 _HARMONICS, _BESIDE_WAVES = 3, 0.15
@@ -68,9 +70,11 @@ def _of_darks(fields: Many) -> _Seen | None:
     every = np.concatenate([np.clip(f.contrasts, -_FAR, _FAR) * f.usable for f in darks])
     waves = fft.rfft2(np.stack([without_lines(z) for z in every]).astype(np.float32))
     power = np.mean(waves.real**2 + waves.imag**2, 0)
-    level = power
-    for limit in (np.inf, 2.0):  # a line is none of the level about it
-        level = ndimage.uniform_filter(np.minimum(power, limit * level), _AROUND, mode=("wrap", "mirror"))
+    if not power.any():
+        return None
+    level = ndimage.uniform_filter(power, _AROUND, mode=("wrap", "mirror"))
+    # A line is none of the level about it.
+    level = ndimage.uniform_filter(np.minimum(power, _LINE * level), _AROUND, mode=("wrap", "mirror"))
     white = fft.irfft2(waves / np.sqrt(np.maximum(level, 0.05 * float(level.mean()))), every.shape[1:])
     number = [len(f.contrasts) for f in darks]
     told = [float(np.mean(f.weight.astype(np.float64) ** 2)) for f in darks]
