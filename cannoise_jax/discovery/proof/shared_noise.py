@@ -10,12 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from cannoise_jax.discovery.proof.white_maps import NOISE
+from cannoise_jax.discovery.proof.white_maps import noisy_halves
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
-from cannoise_jax.signatures.returning import halves
 from cannoise_jax.signatures.shape import HEAVY, one_noise
-from cannoise_jax.signatures.squares import square_map
 
 _LAGS = (2, 3, 4)
 """Pixels apart: those next to each other share charge, those far apart no block."""
@@ -28,8 +26,6 @@ _DIAGONAL = ((2, 2), (2, -2), (4, 4), (4, -4))
 _HALF = 0.5
 """Of what pixels have in common with themselves in other frames, that those beside each other have: a map of
 single pixels has none, one that is smooth over ten pixels and more 0.8 to 1."""
-_FARTHEST = 1e-3
-"""Share of the pixels, the noisiest, that count as the next one does."""
 
 
 def shared(step: Step) -> Doubt | None:
@@ -69,15 +65,11 @@ def shared(step: Step) -> Doubt | None:
 def shared_map(step: Step) -> Doubt | None:
     """What speaks against a step that gives every pixel a noise of its own: that pixels near by are as noisy,
     in other frames, as it is itself, as where noise is stronger in parts of the frame."""
-    if step.named.mechanism == UNKNOWN or step.named.signature.axes.law != NOISE:
+    found = noisy_halves(step)
+    if found is None:
         return None
-    found, seen = halves(step.before), square_map(step.before)
-    if found is None or seen is None:
-        return None
-    usable = seen[1]
-    limits = [float(np.quantile(half[usable], 1 - _FARTHEST)) for half in found]
-    one, other = (np.minimum(half, limit) for half, limit in zip(found, limits, strict=True))
-    one, other = (np.where(usable, half / half[usable].mean() - 1, 0.0) for half in (one, other))
+    usable = found.usable
+    one, other = (np.where(usable, half / half[usable].mean() - 1, 0.0) for half in found[:2])
     number = float(usable.sum())
     itself = float(np.sum(one * other)) / number
     pairs = [(one, other, lag) for lag in _DIAGONAL] + [(other, one, lag) for lag in _DIAGONAL]

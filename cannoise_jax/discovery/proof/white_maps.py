@@ -63,19 +63,37 @@ _AGAIN = 0.5
 of a spread of 0.25 to 0.36 have all of it and more."""
 
 
-def noisy_again(step: Step) -> Doubt | None:
-    """What speaks against a step that gives every pixel a noise of its own: that pixels noisy in some frames
-    are hardly so in the others, as where hits make them."""
+class NoisyHalves(NamedTuple):
+    """Mean squares of every pixel in either half of the frames, the farthest ones cut, the pixels that tell,
+    and the number of contrasts of all."""
+
+    one: Float[np.ndarray, "h w"]
+    other: Float[np.ndarray, "h w"]
+    usable: Bool[np.ndarray, "h w"]
+    number: int
+
+
+def noisy_halves(step: Step) -> NoisyHalves | None:
+    """Those that a step gives a noise of each pixel's own from; None: it gives none, or too few frames do."""
     if step.named.mechanism == UNKNOWN or step.named.signature.axes.law != NOISE:
         return None
     found, seen = halves(step.before), square_map(step.before)
     if found is None or seen is None:
         return None
-    usable = seen[1]
-    one, other = (np.minimum(h[usable], np.quantile(h[usable], 1 - _FARTHEST)) for h in found)
+    one, other = (np.minimum(h, np.quantile(h[seen[1]], 1 - _FARTHEST)) for h in found)
+    return NoisyHalves(one, other, seen[1], seen[2])
+
+
+def noisy_again(step: Step) -> Doubt | None:
+    """What speaks against a step that gives every pixel a noise of its own: that pixels noisy in some frames
+    are hardly so in the others, as where hits make them."""
+    found = noisy_halves(step)
+    if found is None:
+        return None
+    one, other = found.one[found.usable], found.other[found.usable]
     shared = float(np.corrcoef(one, other)[0, 1])
     own = read_share(step.before) ** 2 * ((1 + step.named.score.amplitude**2) ** 4 - 1)
-    expected = own / (own + (1 + own) * 2 / max(seen[2] / 2, 1))
+    expected = own / (own + (1 + own) * 2 / max(found.number / 2, 1))
     if shared > _AGAIN * expected or (expected - shared) * np.sqrt(one.size) < _SURE:
         return None
     what = f"the noise of pixels in some frames and in others correlates by {shared:.2f}, not {expected:.2f}"

@@ -54,10 +54,9 @@ def flats_alike(statistics: Sequence[FrameStatistics]) -> str:
 
 def _filtered(flat: FrameStatistics | None) -> str:
     """That pixels of one colour share as much of their noise along the diagonals as beside each other."""
-    step = 1 if flat is not None and flat.recording.cfa == "MONO" else 2
     if flat is None or min(flat.recording.size) < 2 * _AWAY[-1]:
         return ""
-    if not filtered(flat, step):
+    if not filtered(flat, 1 if flat.recording.cfa == "MONO" else 2):
         return ""
     return (
         "the noise of neighbours in the flats is as much alike along the diagonals as beside them: frames "

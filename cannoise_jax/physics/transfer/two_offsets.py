@@ -81,13 +81,13 @@ def _points(statistics: Sequence[FrameStatistics]) -> _Points | None:
     flats = [s for s in lit if s.variance is not None and s.recording.exposure_s]
     if reference is None or len({s.recording.exposure_s for s in flats}) < _LEVELS:
         return None
-    found = []
+    found, full = [], [full_signal(lit, c) for c in range(4)]
     for s in flats:
         dark = dark_like(s, statistics, reference)
         for c in range(4):
             level = float(dark.frame_means[:, c].mean())
             usable = below_rail(s, c)
-            if usable.mean() < _ENOUGH or not below_full(s, full_signal(lit, c), level, c):
+            if usable.mean() < _ENOUGH or not below_full(s, full[c], level, c):
                 continue
             noise, inside = robust_mean_square(pixel_variance(s, c)[usable], s.dof)
             read = 0.0 if dark.variance is None else robust_mean_square(pixel_variance(dark, c), dark.dof)[0]
