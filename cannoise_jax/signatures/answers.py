@@ -21,6 +21,7 @@ from jaxtyping import Bool, Float
 
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.remembered import Kept
 
 SCALINGS = ("additive", "signal", "exposure", "codes")
 """How a pattern grows: not, with the light, with the exposure. The last, of recordings at several gains, is
@@ -29,6 +30,8 @@ BY_TURNS = "column by turns"
 """Among the lines: columns of which a pattern turns its sign from row to row."""
 _AT_ONE_GAIN = 3
 _NONE = np.zeros((1, 1), np.float32)
+_PRODUCTS: Kept[dict[frozenset[str], np.ndarray]] = Kept(4)
+"""The last few of `_at_first`: those of the frames that look and of all, on two threads."""
 
 
 def turns(count: int) -> Float[np.ndarray, "n"]:
@@ -161,7 +164,8 @@ def less_map(
         fall = share * sum((b * part[f.number] for f, b in zip(shown, roots, strict=True)), np.float64(0))
         for f, b in zip(shown, roots, strict=True):
             whitened[f.number] += part[f.number] - b * fall
-        mixed[axis] = _mixed(fields, axis, scaling, partial(np.multiply, share))
+        along = along_fields(fields, axis, scaling)
+        mixed[axis] = _mixed(fields, axis, scaling, along, partial(np.multiply, share))
     return tuple(
         f
         if f.static is None
@@ -188,14 +192,15 @@ def less_lines(
     fields: tuple[Fields, ...],
     axis: str,
     scaling: str,
+    along: Callable[[str], Float[np.ndarray, "h w"]],
     taken: Callable[[np.ndarray], Float[np.ndarray, "h w"]],
     score: Float[np.ndarray, "g"],
     told: tuple[Bool[np.ndarray, "h w"], Float[np.ndarray, "g"]],
 ) -> tuple[Fields, ...]:
-    """The fields with a pattern of lines whitened. taken: of sums over the pixels of every line, or of
-    products of two responses of pixels, what is taken out of each pixel; score: sums of response times static
-    part; told: see `Answers.lines`."""
-    mixed, spread = _mixed(fields, axis, scaling, taken), taken(score)
+    """The fields with a pattern of lines whitened. along: of `along_fields`. taken: of sums over the pixels of
+    every line, or of products of two responses of pixels, what is taken out of each pixel; score: sums of
+    response times static part; told: see `Answers.lines`."""
+    mixed, spread = _mixed(fields, axis, scaling, along, taken), taken(score)
     out = []
     for f in fields:
         if f.static is None:
@@ -211,16 +216,19 @@ def less_lines(
 
 
 def _mixed(
-    fields: tuple[Fields, ...], axis: str, scaling: str, taken: Callable[[np.ndarray], np.ndarray]
+    fields: tuple[Fields, ...],
+    axis: str,
+    scaling: str,
+    along: Callable[[str], Float[np.ndarray, "h w"]],
+    taken: Callable[[np.ndarray], np.ndarray],
 ) -> Float[np.ndarray, "k k h w"]:
-    """What patterns look like once one that scales so is whitened. taken: of the sums over recordings of its
-    response times another, the share of it that goes."""
+    """What patterns look like once one that scales so is whitened. along: of `along_fields`. taken: of the
+    sums over recordings of its response times another, the share of it that goes."""
     size = fields[0].mean.shape
     before = _looks(fields, axis)
     if before is None:
         k = len(_scalings(fields, scaling))
         before = np.broadcast_to(np.eye(k, dtype=np.float32)[:, :, None, None], (k, k, *size))
-    along = along_fields(fields, axis, scaling)
     own = _row(before, scaling, fields[0].unit)
     falls = np.stack([taken(along(s)) for s in _told_apart(before)])
     return (before - falls[:, None] * own).astype(np.float32)
@@ -254,19 +262,26 @@ def _at_first(
     fields: tuple[Fields, ...], axis: str, names: tuple[str, ...]
 ) -> dict[frozenset[str], Float[np.ndarray, "h w"]]:
     """By two scalings: sums over recordings of the products of what they answer to both before anything was
-    taken out of all of them."""
+    taken out of all of them. Taking out what stays leaves them as they are, so that they are kept."""
+    shown = [f for f in fields if f.static is not None]
+    arrays = [x for f in shown for x in (f.usable, f.sigma, f.signal, f.answers.kept.get(axis))]
+    of_each = tuple((f.frames, f.exposure_s, f.unit, f.lit) for f in shown)
     size = fields[0].mean.shape
+    return _PRODUCTS.of(arrays, (axis, names, of_each, size), lambda: _products(shown, axis, names, size))
+
+
+def _products(
+    shown: Sequence[Fields], axis: str, names: tuple[str, ...], size: tuple[int, ...]
+) -> dict[frozenset[str], Float[np.ndarray, "h w"]]:
     out = {frozenset((a, b)): np.zeros(size) for a in names for b in names}
-    for f in fields:
-        if f.static is None:
-            continue
+    for f in shown:
         square = f.frames * f.weight.astype(np.float64) ** 2
         if axis in f.answers.kept:
             square = square * _as_lines(f.answers.kept[axis].astype(np.float64), axis) ** 2
         for pair in out:
             a, b = min(pair), max(pair)
             if _has(f, a) and _has(f, b):
-                out[pair] += square * _unit_effect(f, a) * _unit_effect(f, b)
+                out[pair] += square * (_unit_effect(f, a).astype(np.float64) * _unit_effect(f, b))
     return out
 
 

@@ -148,18 +148,28 @@ def least_squares(basis: Float[np.ndarray, "n k"], values: Float[np.ndarray, "n"
 def surfaces(size: tuple[int, int], degree: int, c: int) -> Float[np.ndarray, "n k"]:
     """Products of Legendre polynomials of rows and columns, up to this degree in all, at the pixels of mosaic
     site c in reading order."""
-    rows, columns = (_legendre(degree, n, o) for n, o in zip(size, divmod(c, 2), strict=True))
+    rows, columns = (a.T for a in legendre(size, degree, c))
     products = [
         np.multiply.outer(rows[i], columns[j]) for i in range(degree + 1) for j in range(degree + 1 - i)
     ]
     return np.stack([p.ravel() for p in products], 1)
 
 
+def legendre(
+    size: tuple[int, int], degree: int, c: int
+) -> tuple[Float[np.ndarray, "h k"], Float[np.ndarray, "w k"]]:
+    """Legendre polynomials up to a degree at the rows and at the columns of mosaic site c; read-only."""
+    rows, columns = (_legendre(degree, n, o) for n, o in zip(size, divmod(c, 2), strict=True))
+    return rows, columns
+
+
 @lru_cache(maxsize=64)
-def _legendre(degree: int, size: int, offset: int) -> tuple[Float[np.ndarray, "n"], ...]:
+def _legendre(degree: int, size: int, offset: int) -> Float[np.ndarray, "n k"]:
     """Every second place of so many, over the range that all of them span."""
     at = 2 * np.arange(offset, size, 2) / max(size - 1, 1) - 1
-    return tuple(np.polynomial.legendre.legval(at, row) for row in np.eye(degree + 1))
+    out = np.polynomial.legendre.legvander(at, degree)
+    out.setflags(write=False)
+    return out
 
 
 def helmert(frames: int) -> Float[np.ndarray, "n t"]:

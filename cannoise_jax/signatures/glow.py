@@ -11,8 +11,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage, special
+from scipy import special
 
+from cannoise_jax.physics.local_median import local_median
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.added import as_map, placed
@@ -103,10 +104,10 @@ def _like_neighbours(fields: tuple[Fields, ...]) -> tuple[Fields, ...]:
             return f
         static = np.array(f.static)
         for at in SITES:
-            about = ndimage.median_filter(static[at], _NEAR)
+            about = local_median(static[at], _NEAR)
             away = np.abs(static[at] - about)
             # Where a glow is steep all of them are far from their median.
-            spread = np.maximum(1.4826 * ndimage.median_filter(away, _NEAR), 1.0)
+            spread = np.maximum(1.4826 * local_median(away, _NEAR), 1.0)
             static[at] = np.where(away > _ALONE * spread, about, static[at])
         return f._replace(static=static)
 

@@ -169,10 +169,12 @@ def shared_sums(
     if not shown or groups.kin.size < 2 or not told(fields, scaling):
         return None
 
+    responses = [stays(f, axis, scaling).astype(np.float64) for f, _ in shown]
+
     def together(kept: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
         score, information = np.zeros(groups.of.shape), np.zeros(groups.of.shape)
-        for f, static in shown:
-            r = stays(f, axis, scaling).astype(np.float64) * kept
+        for (f, static), response in zip(shown, responses, strict=True):
+            r = response * kept
             rest = static - float(np.sum(static * r)) / max(float(np.sum(r**2)), 1e-30) * r
             score += np.sqrt(f.frames) * rest * r
             information += f.frames * r**2

@@ -59,14 +59,15 @@ def static_absorb(
         return fields
     groups = lines(axis, fields[0].mean.shape)
     kept, noise = sums.kept, sums.noise
-    information = groups.sums(along_fields(fields, axis, scaling)(scaling) * kept) / noise
+    along = along_fields(fields, axis, scaling)
+    information = groups.sums(along(scaling) * kept) / noise
     share = (1 - 1 / np.sqrt(1 + score.payload * information)) / np.maximum(information, 1e-30)
 
     def taken(values: np.ndarray) -> np.ndarray:
         of_lines = values if values.ndim == 1 else groups.sums(values * kept) / noise
         return (of_lines * share)[groups.of]
 
-    return less_lines(fields, axis, scaling, taken, sums.score, (kept, noise))
+    return less_lines(fields, axis, scaling, along, taken, sums.score, (kept, noise))
 
 
 def frozen(

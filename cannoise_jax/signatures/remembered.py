@@ -1,12 +1,12 @@
-"""Statistics of one recording that several signatures ask for: computed once."""
+"""Statistics of recordings that several signatures ask for: computed once."""
 
 from __future__ import annotations
 
 import weakref
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Hashable, Sequence
 from functools import wraps
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 if TYPE_CHECKING:
     from cannoise_jax.signatures.fields import Fields
@@ -16,27 +16,39 @@ _MOST = 64
 Result = TypeVar("Result")
 
 
+class Kept(Generic[Result]):
+    """Results that hold as long as the arrays that they were made of are the same objects: nothing changes an
+    array in place. The arrays are not kept alive for it. most: how many results are kept."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._kept: OrderedDict[tuple[Any, ...], tuple[tuple[Any, ...], Result]] = OrderedDict()
+
+    def of(self, arrays: Sequence[Any], more: Hashable, make: Callable[[], Result]) -> Result:
+        """The result of these arrays (None: none) and of what else it depends on, made where it is not known."""
+        key = (more, *(id(a) for a in arrays))
+        found = self._kept.get(key)
+        # An array that is gone may have left its address to another.
+        if found and all(ref() is a for ref, a in zip(found[0], arrays, strict=True)):
+            return found[1]
+        result = make()
+        self._kept[key] = tuple(_reference(a) for a in arrays), result
+        for old, (references, _) in list(self._kept.items()):
+            if len(self._kept) > self._most or any(_gone(r) for r in references):
+                self._kept.pop(old, None)
+        return result
+
+
 def remembered(*reads: str) -> Callable[[Callable[[Fields], Result]], Callable[[Fields], Result]]:
-    """A function of a field whose result is kept as long as the arrays that it `reads` are the same objects:
-    nothing changes an array in place. They are not kept alive for it."""
+    """A function of a field whose result is kept as long as the arrays that it `reads` are the same ones."""
 
     def wrap(function: Callable[[Fields], Result]) -> Callable[[Fields], Result]:
-        kept: OrderedDict[tuple[int, ...], tuple[tuple[Any, ...], Result]] = OrderedDict()
+        kept = Kept[Result](_MOST)
 
         @wraps(function)
         def call(field: Fields) -> Result:
             arrays = [getattr(field, name) for name in reads]
-            key = (field.number, field.before, *(id(a) for a in arrays))
-            found = kept.get(key)
-            # An array that is gone may have left its address to another.
-            if found and all(ref() is a for ref, a in zip(found[0], arrays, strict=True)):
-                return found[1]
-            result = function(field)
-            kept[key] = tuple(_reference(a) for a in arrays), result
-            for old, (references, _) in list(kept.items()):
-                if len(kept) > _MOST or any(_gone(r) for r in references):
-                    kept.pop(old, None)
-            return result
+            return kept.of(arrays, (field.number, field.before), lambda: function(field))
 
         return call
 

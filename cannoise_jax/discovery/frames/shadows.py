@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
+from cannoise_jax.physics.local_median import local_median
 from cannoise_jax.physics.robust import robust_std
 
 _PEAK, _EDGE = 5.0, 3.0
@@ -95,7 +96,7 @@ def _limited(relative: np.ndarray) -> Float[np.ndarray, "h w"]:
     """With pixels that are far from those around them brought near, and with those beside the furthest, from
     which charge comes or stays away: four neighbours of a dead pixel, darker by a few per cent, are a cross.
     """
-    around = ndimage.median_filter(relative, 5, mode="nearest")
+    around = local_median(relative, 5, "edge")
     away = relative - around
     spread = robust_std(away, 0)
     beside = ndimage.binary_dilation(np.abs(away) > _LONE * spread, np.ones((3, 3)))

@@ -15,13 +15,14 @@ from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy import ndimage, special
+from scipy import special
 
 from cannoise_jax.discovery.frames.contrasts import Stack, robust_mean
 from cannoise_jax.discovery.frames.shadows import light_at
+from cannoise_jax.physics.local_median import local_median
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.packing import SITES
-from cannoise_jax.signatures.fields import channel_index, least_squares, surfaces
+from cannoise_jax.signatures.fields import channel_index, legendre
 
 START, STOP = 4, 16
 """Degree of the surface that is always fitted, and the highest one that is tried."""
@@ -77,22 +78,35 @@ def surface_of(stacked: Stack, dust: Bool[np.ndarray, "h w"] | None = None) -> F
         if degree == 0:
             out[chosen] = robust_mean(mean[chosen])
             continue
-        basis = surfaces(size, degree, c)
-        values = mean[chosen].astype(np.float64)
-        clear = np.ones(values.size, bool) if dust is None else ~dust[chosen]
-        kept = clear
+        at = SITES[c]
+        values = mean[at].astype(np.float64)
+        clear = None if dust is None else ~dust[at]
+        looked = np.ones(values.shape, bool) if clear is None else clear
+        kept, terms = looked, legendre(size, degree, c)
         for _ in range(2):
-            beta = least_squares(basis[kept], values[kept])
-            rest = values - np.einsum("nk,k->n", basis, beta)
-            kept, before = clear & (np.abs(rest) < 6 * robust_std(rest[clear], 0) + 1e-6), kept
+            fitted = _least_squares(values, kept, *terms)
+            rest = values - fitted
+            kept, before = looked & (np.abs(rest) < 6 * robust_std(rest[looked], 0) + 1e-6), kept
             if np.array_equal(kept, before):
                 break
-        fitted = np.einsum("nk,k->n", basis, beta)
-        at = SITES[c]
-        out[chosen] = fitted
-        clear_there = None if dust is None else ~dust[at]
-        out[at] += beyond(mean[at] - out[at].astype(np.float64), clear=clear_there).astype(np.float32)
+        out[at] = fitted
+        out[at] += beyond(values - out[at].astype(np.float64), clear=clear).astype(np.float32)
     return out
+
+
+def _least_squares(values, kept, rows, columns) -> Float[np.ndarray, "h w"]:
+    """Least squares of the `kept` values by products of polynomials of rows [h, d + 1] and columns [w, d + 1]
+    up to a total degree d, at all places. All sums run over the rows first and over the columns then, which
+    makes them a few products of matrices."""
+    degree = rows.shape[1] - 1
+    i, j = np.nonzero(np.add.outer(np.arange(degree + 1), np.arange(degree + 1)) <= degree)
+    pairs = [(a[:, :, None] * a[:, None]).reshape(len(a), -1) for a in (rows, columns)]
+    products = (pairs[0].T @ kept.astype(np.float64) @ pairs[1]).reshape((degree + 1,) * 4)
+    normal = products[i[:, None], i, j[:, None], j]
+    inner = np.zeros((degree + 1, degree + 1))
+    told = rows.T @ np.where(kept, values, 0.0) @ columns
+    inner[i, j] = np.linalg.lstsq(normal, told[i, j], rcond=None)[0]
+    return rows @ inner @ columns.T
 
 
 def _above_black(stacked: Stack, surface: np.ndarray) -> Float[np.ndarray, "h w"]:
@@ -119,7 +133,7 @@ def beyond(
     if spread == 0 or stop <= start:
         return fitted
     # What is fitted is smooth, so that the median of what it leaves is that of all less the fit.
-    around = ndimage.median_filter(rest, 5, mode="nearest")
+    around = local_median(rest, 5, "edge")
     rows, columns = polynomials(height, stop), polynomials(width, stop)
     enough = False
     for degree in range(start, stop, 2):

@@ -46,17 +46,11 @@ def card(
     """
     signature, score, fields = step.named.signature, step.named.score, step.before
     additive = _kin(signature, signatures, time=signature.axes.time, scales="additive") or signature
-    told = {n for o in others if o is not step for n in (o.named.signature.name, *o.named.signature.covers)}
-    nearest, gap = _nearest(step, tuple(p for p in signatures if p.mechanism in ids and p.name not in told))
-    why = (
-        "no named mechanism of this run answers to it at all"
-        if nearest is None
-        else f"it explains {gap:.1f} nats less of the same frames"
-        if gap >= 0
-        else f"it explains {-gap:.1f} nats more of the same frames, but the search did not keep it"
+    nearest, why = (
+        _nearest_beside(step, signatures, ids, others)
+        if step.named.doubt is None
+        else (step.named.doubt.nearest, said_against(step.named.doubt))
     )
-    if step.named.doubt is not None:
-        nearest, why = step.named.doubt.nearest, said_against(step.named.doubt)
     return {
         "axes": dataclasses.asdict(signature.axes),
         "signature": signature.name,
@@ -226,11 +220,21 @@ def lines(card: dict[str, Any]) -> list[tuple[str, str]]:
     return out
 
 
-def _nearest(step: Step, signatures: tuple[Signature, ...]) -> tuple[str | None, float]:
-    """The mechanism with most evidence in the same fields, and how much less that is, nats."""
+def _nearest_beside(
+    step: Step, signatures: tuple[Signature, ...], ids: frozenset[str], others: tuple[Step, ...]
+) -> tuple[str | None, str]:
+    """The mechanism with most evidence in the same fields, of those that may be named and are not found
+    beside it, and why it is not the one."""
+    told = {n for o in others if o is not step for n in (o.named.signature.name, *o.named.signature.covers)}
+    own = step.named.signature.name
+    asked = [p for p in signatures if p.mechanism in ids and p.name not in told and p.name != own]
     best, name = 0.0, None
-    others = [s for s in signatures if s.name != step.named.signature.name]
-    for signature, told in zip(others, each(lambda s: s.score(step.before), others), strict=True):
-        if told is not None and told.evidence > best:
-            best, name = told.evidence, signature.mechanism
-    return name, step.named.score.evidence - best
+    for signature, score in zip(asked, each(lambda s: s.score(step.before), asked), strict=True):
+        if score is not None and score.evidence > best:
+            best, name = score.evidence, signature.mechanism
+    gap = step.named.score.evidence - best
+    if name is None:
+        return None, "no named mechanism of this run answers to it at all"
+    if gap >= 0:
+        return name, f"it explains {gap:.1f} nats less of the same frames"
+    return name, f"it explains {-gap:.1f} nats more of the same frames, but the search did not keep it"

@@ -114,11 +114,14 @@ def stepwise(
     search = Search(signatures, allowed, first.tests, log_alpha + float(np.log(share)), tell)
     start = fields
     steps: list[Step] = []
+    judged: list[Step] = []
+    final: tuple[Step, ...] = ()
     given_up: set[str] = set()
     needed: set[str] = set()
     while True:
         steps, fields, last = _forward(search, steps, fields, last, given_up)
-        final = _in_final_model(steps, first.tests, needed, tell)
+        if [id(s) for s in steps] != [id(s) for s in judged]:
+            judged, final = list(steps), _in_final_model(steps, first.tests, needed, tell)
         weak = [n for n, step in enumerate(final) if not step.late and step.log_p > search.level]
         if not weak:
             late = None
@@ -146,6 +149,7 @@ def stepwise(
         more = seen._replace(scores={n: s for n, s in seen.scores.items() if n not in kept_off})
         if taken.any() and (name(more, active, allowed, search.level) or _others_take(taken, left)):
             needed.add(gone.signature.name)
+            final = (*final[:n], steps[n], *final[n + 1 :])
             continue
         tell(f"given up: {gone.mechanism} ({gone.signature.name})")
         steps, fields, last, given_up = others, left, seen, without_it

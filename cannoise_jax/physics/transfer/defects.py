@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool
 from scipy import ndimage
 
+from cannoise_jax.physics.local_median import local_median
 from cannoise_jax.physics.transfer.bad_lines import told
 from cannoise_jax.physics.transfer.estimators.dead import dead_of
 from cannoise_jax.physics.transfer.estimators.pick import brightest_flat
@@ -92,7 +93,7 @@ def shadows_line(statistics: Sequence[FrameStatistics]) -> str:
         signal = site(flat.mean, c) - flat.recording.black_level[c]
         found = response_of(signal / flat.level[c], ~site(flat.clipped, c))
         site(mask, c)[...] = found.shadow
-        site(depth, c)[...] = ndimage.median_filter(-found.pattern / np.maximum(found.light, 1e-3), 3)
+        site(depth, c)[...] = local_median(-found.pattern / np.maximum(found.light, 1e-3), 3)
     places, count = ndimage.label(ndimage.binary_dilation(mask, np.ones((3, 3), bool)))
     if not count:
         return ""

@@ -14,8 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy import ndimage, optimize, stats
+from scipy import optimize, stats
 
+from cannoise_jax.physics.local_median import local_median
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.physics.transfer.estimate import Estimate, Estimates, NotMeasurable
 from cannoise_jax.physics.transfer.estimator import BY_CHANCE
@@ -165,7 +166,7 @@ class _Cells(NamedTuple):
 
 def _even(charge: Float[np.ndarray, "H W"], variance: Float[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
     """The pixels that do not stand out of those beside them, by more than the shot noise of what all hold."""
-    around = ndimage.median_filter(charge.astype(np.float32), 3)
+    around = local_median(charge.astype(np.float32), 3)
     rest = charge - around
     spread = max(robust_std(rest, 0.0) ** 2, float(np.mean(variance)))
     return rest**2 <= _FAR**2 * (spread + np.maximum(around - np.median(around), 0.0))
