@@ -33,6 +33,8 @@ _BLOCKS = 8
 _ROUNDS = 4
 """Of the weights: at the fourth, slopes through 64 x 64 pixels of four levels, up to 5 % of them 20 times as
 noisy, moved by less than 1e-10 of their standard error; at the second by up to 4e-5."""
+_LEAST_SLOPE = 1e-9
+"""DN/e-, of a camera whose noise does not grow with the light."""
 HALF_A_CODE = 3.0
 """Its square in units of the variance that rounding adds."""
 _APART = 0.2
@@ -122,7 +124,8 @@ def fit_line(levels: list[ChannelMaps], rounding: float) -> Line | None:
         if solved is None:
             return None
         offset, slope = solved
-        slope = max(slope, 1e-9)
+        if slope < _LEAST_SLOPE:  # no noise falls with the light: all of it is the offset's
+            slope, offset = _LEAST_SLOPE, float(right[:, 0].sum() / normal[:, 0, 0].sum())
     without = [_solve(normal.sum(0) - n, right.sum(0) - r) for n, r in zip(normal, right, strict=True)]
     left = np.array([w for w in without if w is not None])
     if len(left) < 8:
