@@ -159,7 +159,8 @@ class Known(NamedTuple):
 
 def known_heat(fields: tuple[Fields, ...], heat: Heat) -> Known | None:
     """What the darks tell of the heat of every pixel: of a normal value with an exponential mean, the mean is
-    a normal one cut off at zero. Beside a map a pixel is either hot or one of the map."""
+    a normal one cut off at zero. Beside a map a pixel is either hot or one of the map: how the others scatter
+    says whether it is hot, and of how hot it is only its own noise."""
     sums = above_neighbours(fields, heat.scaling)
     if sums is None:
         return None
@@ -170,8 +171,9 @@ def known_heat(fields: tuple[Fields, ...], heat: Heat) -> Known | None:
     u, mean = core.standard(sums.score / safe / core.spread), heat.mean * safe
     ratio = np.where(seen, core.log_ratio(u, mean), 0.0)
     log_odds = np.log(max(heat.share, 1e-12)) - np.log1p(-min(heat.share, MOST_SHARE)) + ratio
-    centre = np.where(seen, u - 1 / mean, -1 / mean)
+    noise = safe * core.spread
+    centre = np.where(seen, u * core.spread, 0.0) - 1 / (heat.mean * noise)
     # Mean of a standard normal above -centre: the inverse of Mills' ratio.
     shape = np.exp(stats.norm.logpdf(centre) - stats.norm.logcdf(centre))
     chance = np.where(seen, special.expit(log_odds), 0.0)
-    return Known(np.round(chance) if heat.beside_map else chance, centre, shape, 1 / safe)
+    return Known(np.round(chance) if heat.beside_map else chance, centre, shape, 1 / noise)

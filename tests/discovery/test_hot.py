@@ -10,6 +10,7 @@ from cannoise_jax.discovery.frames.battery import prepare
 from cannoise_jax.discovery.frames.splits import all_frames, split_recordings, splits_of
 from cannoise_jax.discovery.search.fit import stepwise
 from cannoise_jax.discovery.search.locate import Located
+from cannoise_jax.discovery.search.maps import one_draw
 from cannoise_jax.discovery.search.name import name
 from cannoise_jax.mechanisms import MECHANISMS
 from cannoise_jax.signatures.fields import Fields
@@ -21,6 +22,7 @@ from tests.discovery.capture import capture_set
 from tests.discovery.looks import SIGNATURES
 
 SIZE = (96, 128)
+TOGETHER = ["hot_additive", "pixel_additive_static"]
 
 
 def dark(static: np.ndarray, frames: int) -> Fields:
@@ -174,6 +176,12 @@ def test_hot_pixels_beside_a_map_of_every_pixels_level():
     again = heat_again(looked, (first,), (second,))
     assert again is not None
     assert again.amplitude == pytest.approx(np.sqrt(np.mean(heat**2)), rel=0.1)
+    # A pixel is hot or one of the map: drawn together it has the level that was recorded, noise apart.
+    fitted = stepwise((first,), tuple(SIGNATURES[n] for n in TOGETHER), frozenset(MECHANISMS), -5.0)
+    assert [s.named.signature.name for s in fitted.steps] == TOGETHER
+    whole = np.sum(np.stack([m for m in one_draw(fitted.steps) if m is not None]), axis=0)
+    off = (whole - level - heat)[known.chance == 1]
+    assert np.sqrt(np.mean(off**2)) < 2 * np.sqrt(2 / 6)  # of the recording and of the draw
     assert judged_first("pixel_additive_static", "row_additive_static", looked) == "hot_additive"
     assert judged_first("row_additive_static", "pixel_additive_static", looked) == "hot_additive"
     # What is new in every frame is no imprint of theirs.

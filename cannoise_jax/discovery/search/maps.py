@@ -15,17 +15,27 @@ from cannoise_jax.signatures.handed import Predicted
 
 def patterns(steps: tuple[Step, ...], rng: np.random.Generator) -> list[np.ndarray | None]:
     """A draw of the frozen map of every step, None for one that has none: of maps of independent values all
-    together, at the longest exposure where they grow with it, and of others each by itself."""
+    together, at the longest exposure where they grow with it, and of others each by itself. Where single
+    pixels were found, what they have beyond all others is measured: no map that scales alike adds to it."""
     out: dict[int, np.ndarray | None] = {}
     for fields, places in _together(steps):
         maps = [_map_of(steps[n]) for n in places]
         draws = joint.drawn(fields, maps, _sigmas(steps, fields, places), rng)
         for n, one, values in zip(places, maps, draws, strict=True):
             out[n] = None if values is None else values * quoted_at(fields, one.scaling)
-    return [
+    drawn = [
         out[n] if n in out else s.named.signature.pattern(s.before, s.named.score, rng)
         for n, s in enumerate(steps)
     ]
+    for single, found in zip(steps, drawn, strict=True):
+        if found is None or not (single.named.signature.single_pixels and single.named.signature.frozen):
+            continue
+        for n in out:
+            values, one = drawn[n], _map_of(steps[n])
+            alike = (one.axis, one.scaling) == ("pixel", single.named.signature.axes.scales)
+            if values is not None and alike and values.shape == found.shape:
+                drawn[n] = np.where(found != 0, 0.0, values)
+    return drawn
 
 
 def one_draw(steps: tuple[Step, ...]) -> list[np.ndarray | None]:
