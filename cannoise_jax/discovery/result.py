@@ -80,8 +80,11 @@ class Result:
 
     @property
     def gained(self) -> bool:
-        """Whether the findings make the simulator better; where draws were not compared they may."""
-        return self.gated is None or any(t.entered and t.better for t in self.gated.tried if t.steps)
+        """Whether the findings make the simulator better: by the draws, or in that what differed does so no
+        more. Where draws were not compared they may."""
+        if self.gated is None or any(t.entered and t.better for t in self.gated.tried if t.steps):
+            return True
+        return bool(self.differs(0)) and self.differs(1) is False
 
     def differs(self, which: int) -> bool | None:
         """Whether the simulator before (0) or after (1) is told from the recordings; None: unknown."""

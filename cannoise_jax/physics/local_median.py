@@ -2,7 +2,7 @@
 
 Of n values the median is left over when of any n // 2 + 2 of them the least and the largest are put aside,
 one of the others takes their place, and so on: neither of the two can be it. Done with whole rows at a time
-that is some hundred minima and maxima of arrays, several times faster than ordering the values of every pixel.
+that is some hundred minima and maxima of arrays, several times faster than ordering those of every pixel.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _PIXELS = 1 << 14
 def local_median(
     values: Float[np.ndarray, "h w"], size: int, mode: str = "symmetric"
 ) -> Float[np.ndarray, "h w"]:
-    """Median of the `size` x `size` values around every one, `size` odd and at least 3. mode: what lies beyond
+    """Median of the `size` x `size` values around every one, odd and at least 3. mode: what lies beyond
     the edges, as numpy.pad has it."""
     padded = np.pad(values, size // 2, mode=mode)  # type: ignore[call-overload]
     height, width = values.shape

@@ -197,8 +197,8 @@ def less_lines(
     score: Float[np.ndarray, "g"],
     told: tuple[Bool[np.ndarray, "h w"], Float[np.ndarray, "g"]],
 ) -> tuple[Fields, ...]:
-    """The fields with a pattern of lines whitened. along: of `along_fields`. taken: of sums over the pixels of
-    every line, or of products of two responses of pixels, what is taken out of each pixel; score: sums of
+    """The fields with a pattern of lines whitened. along: of `along_fields`. taken: of sums over the pixels
+    of every line, or of products of two responses of pixels, what is taken out of each pixel; score: sums of
     response times static part; told: see `Answers.lines`."""
     mixed, spread = _mixed(fields, axis, scaling, along, taken), taken(score)
     out = []

@@ -25,7 +25,7 @@ class Kept(Generic[Result]):
         self._kept: OrderedDict[tuple[Any, ...], tuple[tuple[Any, ...], Result]] = OrderedDict()
 
     def of(self, arrays: Sequence[Any], more: Hashable, make: Callable[[], Result]) -> Result:
-        """The result of these arrays (None: none) and of what else it depends on, made where it is not known."""
+        """The result of these arrays (None: none) and of what else it needs, made where none is known."""
         key = (more, *(id(a) for a in arrays))
         found = self._kept.get(key)
         # An array that is gone may have left its address to another.

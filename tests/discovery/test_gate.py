@@ -17,6 +17,7 @@ from cannoise_jax.discovery.proof.gate import Gain, Tried, lesser
 from cannoise_jax.discovery.proof.prove import Proof
 from cannoise_jax.discovery.proof.twosample import Area, differs
 from cannoise_jax.discovery.proof.verdict import verdict_of
+from cannoise_jax.discovery.result import Result
 from cannoise_jax.discovery.search.name import UNKNOWN
 from tests.discovery.capture import capture_set
 from tests.discovery.test_compare_bank import camera, fixed, rows, tails
@@ -36,6 +37,15 @@ def test_what_helps_one_measure_and_hurts_the_other_does_not_enter():
     assert tried(0.01, 0.1).worse and tried(-0.01, -0.1).worse
     assert not tried(0.01, 0.1).better and not tried(-0.01, -0.1).better
     assert not tried().better and not tried().worse
+
+
+@pytest.mark.parametrize(("before", "after"), [(True, False), (True, True), (False, False)])
+def test_findings_beside_which_nothing_differs_any_more_have_gained(before, after):
+    """A lamp that drifts in a few frames is too few numbers for a score."""
+    run = SimpleNamespace(gated=SimpleNamespace(tried=(tried(0.0),)), differs=lambda n: (before, after)[n])
+    assert Result.gained.fget(run) == (before and not after)
+    run.gated.tried = (tried(0.01),)
+    assert Result.gained.fget(run)
 
 
 def _proof(confirmed, gain=1.0):

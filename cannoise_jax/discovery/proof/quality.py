@@ -97,12 +97,12 @@ class Panel:
         return int(jax.random.randint(self.key, (), 0, 2**31 - 1))
 
     def look(self, draw: Drawings, number: int, composite: bool = True) -> Looked:
-        """One simulator; number: of the candidate, for its random numbers."""
+        """One simulator; number: of the candidate, for its random numbers. Scores are learned from draws with
+        the same for all of them: how bright the lamp happens to be in a few dozen frames moves a score by
+        more than a candidate gains."""
         pair = self.plain if number == PLAIN else _pair(draw, self.halves, _keys(self.key)[number])
         scores = (
-            composite_scores(jax.random.fold_in(self.key, number), self.halves[1], draw)
-            if composite
-            else None
+            composite_scores(jax.random.fold_in(self.key, PLAIN), self.halves[1], draw) if composite else None
         )
         side = _side(self.real[1], pair[1], self.span, scores)
         told = judge(self.real, pair, self.seed) if self.patches else None
