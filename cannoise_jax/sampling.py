@@ -134,7 +134,7 @@ def sample_noise(
         raise TypeError(f"params is a {type(params).__name__}: expected a Model, of load_model(workdir)")
     check_key(key)
     check_level(params.level, nlf is not None)
-    draw = initial_noise_of(params)
+    initial_noise_of(params)  # a model with several sensors is refused before its images
     if any(jnp.iscomplexobj(image) for image in (clean, noisy_ref)):
         raise ValueError("clean and noisy_ref must be real")
     if any(jnp.asarray(image).dtype == bool for image in (clean, noisy_ref)):
@@ -158,20 +158,32 @@ def sample_noise(
         jnp.broadcast_to(jnp.asarray(v, jnp.float32), per_image).reshape(-1, 4) for v in (shot, read)
     )
     latent = jnp.repeat(_latent(params, noisy_ref), images.shape[0], 0)
-    noise_key, row_key = jax.random.split(key)
-    margin = margin_of(params)
-    padded = _pad(images, margin)
-    n_init, sigma = draw(noise_key, padded, shot, read)
     said = (float(nlf is not None), float(np.prod(noisy_ref.shape[:-3])))
     level = NoiseLevel(shot, read, *(jnp.full(images.shape[0], v) for v in said))
-    noise: Any = params.generator_module.apply(
-        params.generator, padded, n_init, latent, sigma, train=False, level=level, rngs={"noise": row_key}
-    )
-    noise = noise[:, margin : margin + height, margin : margin + width].reshape(clean.shape)
+    noise = noise_at(params, key, images, latent, level).reshape(clean.shape)
     for image in (clean, noisy_ref):
         if isinstance(image, jax.core.Tracer):
             noise = jnp.where(_normalised(image), noise, jnp.nan)
     return noise
+
+
+def noise_at(
+    params: Model,
+    key: Key[Array, ""],
+    clean: Float[Array, "b h w 4"],
+    latent: Float[Array, "b l"],
+    level: NoiseLevel,
+) -> Float[Array, "b h w 4"]:
+    """`sample_noise` where the camera and the level are read off already."""
+    height, width = clean.shape[1:3]
+    noise_key, row_key = jax.random.split(key)
+    margin = margin_of(params)
+    padded = _pad(clean, margin)
+    n_init, sigma = initial_noise_of(params)(noise_key, padded, level.shot, level.read)
+    noise: Any = params.generator_module.apply(
+        params.generator, padded, n_init, latent, sigma, train=False, level=level, rngs={"noise": row_key}
+    )
+    return noise[:, margin : margin + height, margin : margin + width]
 
 
 def initial_noise_of(model: Model) -> InitialNoise:
@@ -260,11 +272,21 @@ def repeated(image: Float[Array, "*n h w 4"]) -> Float[Array, "*n y x 4"]:
 @jax.jit
 def _latent(params, noisy_ref):
     """The latent of all references, `[1, L]`."""
+    return common_latent(params, latents_of(params, noisy_ref.reshape(-1, *noisy_ref.shape[-3:])))[None]
+
+
+def latents_of(params: Model, noisy: Float[Array, "n h w 4"]) -> Float[Array, "n l"]:
+    """The latent of each image; one zero where the model has no encoder."""
     if params.encoder_module is None:
-        return jnp.zeros((1, 1))
-    images = noisy_ref.reshape(-1, *noisy_ref.shape[-3:])
-    latents: Any = params.encoder_module.apply(params.encoder, images, train=False)
-    return mean_latent(params.encoder_module, latents)[None]
+        return jnp.zeros((noisy.shape[0], 1))
+    return params.encoder_module.apply(params.encoder, noisy, train=False)  # type: ignore[return-value]
+
+
+def common_latent(params: Model, latents: Float[Array, "*b n l"]) -> Float[Array, "*b l"]:
+    """One latent for n images of a camera."""
+    if params.encoder_module is None:
+        return latents[..., 0, :]
+    return mean_latent(params.encoder_module, latents)
 
 
 def margin_of(model: Model) -> int:

@@ -26,6 +26,7 @@ from ml_collections import ConfigDict, config_flags
 
 from cannoise_jax.commands.entry import command, show_warnings
 from cannoise_jax.commands.entry import progress as progress_of
+from cannoise_jax.commands.freed_memory import keep_freed
 from cannoise_jax.commands.interrupts import after_loading
 from cannoise_jax.commands.pulse import current, now_at
 from cannoise_jax.recordings.opened import json_of
@@ -299,6 +300,7 @@ def _fields(config: dict[str, Any], before: str = "") -> Iterator[str]:
 def _run(
     config: ConfigDict, workdir: Path, values: flags.FlagValues, started: float, check: Callable[[], None]
 ) -> int:
+    keep_freed()
     now_at("loading libraries")
     import jax
     from tqdm import tqdm

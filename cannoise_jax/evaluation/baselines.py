@@ -41,10 +41,14 @@ def poisson_gaussian(key, clean, reference_noisy, shot, read) -> Float[Array, "b
     return sigma * sample_normal(key, clean.shape)
 
 
-@jax.jit
 def poisson_gaussian_estimated(key, clean, reference_noisy, shot, read) -> Float[Array, "b h w 4"]:
     """`poisson_gaussian` at the level that the references show: what is to be had without any training."""
-    return poisson_gaussian(key, clean, reference_noisy, *jax.vmap(estimate_nlf)(reference_noisy))
+    return poisson_gaussian(key, clean, reference_noisy, *estimated_levels(reference_noisy))
+
+
+estimated_levels = jax.jit(jax.vmap(estimate_nlf))
+"""(shot, read) `[b, 4]` as references `[b, k, h, w, 4]` show them: one program for all columns of a
+comparison that read levels off them."""
 
 
 def calibrate_nlf(

@@ -21,11 +21,9 @@ from ml_collections import ConfigDict, FrozenConfigDict
 
 from cannoise_jax.evaluation.compare import draw_noise, evaluate_model, model_columns
 from cannoise_jax.evaluation.evaluators import EVALUATORS
-from cannoise_jax.evaluation.samplers import Samplers, samplers
-from cannoise_jax.networks.branches import NoiseLevel
+from cannoise_jax.evaluation.samplers import Samplers, by_latents, samplers
 from cannoise_jax.networks.encoder import mean_latent
 from cannoise_jax.physics.initial_noise import initial_noise_by_camera
-from cannoise_jax.physics.single_image import estimate_nlf
 from cannoise_jax.recordings.opened import check_plain, json_of
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.training.check import check_config, check_sensors
@@ -123,38 +121,44 @@ def _difference(old: Any, new: Any, name: str = "") -> str:
 def make_sampler(config: ConfigDict) -> Callable[[State], Samplers]:
     """A function from a state to its averaged model as `evaluation` takes it; compiled once for all
     states."""
-    sample = _averaged(FrozenConfigDict(config))
+    networks = make_networks(config)
+    encode, draw = _averaged(FrozenConfigDict(config))
 
     def of_state(state: State) -> Samplers:
-        spectral = (state.generator["spectral"], state.encoder["spectral"])
-        return samplers(config.level, partial(sample, state.average, spectral), by_camera=True)
+        encoder, generator = (
+            {"params": state.average[name], "spectral": getattr(state, name)["spectral"]}
+            for name in ("encoder", "generator")
+        )
+
+        def of_latents(key, clean, latents, level, camera):
+            if networks.encoder is None:
+                return draw(generator, key, clean, latents[:, 0], level, camera)
+            return draw(generator, key, clean, mean_latent(networks.encoder, latents), level, camera)
+
+        return samplers(config.level, by_latents(partial(encode, encoder), of_latents), by_camera=True)
 
     return of_state
 
 
 @lru_cache(maxsize=4)
-def _averaged(config: FrozenConfigDict) -> Callable[..., Any]:
+def _averaged(config: FrozenConfigDict) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """E and G as programs, see `by_latents`."""
     networks, draw = make_networks(config), initial_noise_by_camera(config.initial_noise, config.exposure_s)
+    options = compiler_options(config)
 
-    @partial(jax.jit, compiler_options=compiler_options(config))
-    def sample(average, spectral, key, clean, reference, nlf, camera):
+    @partial(jax.jit, compiler_options=options)
+    def encode(encoder, noisy):
+        return latent_of(networks, encoder, noisy)
+
+    @partial(jax.jit, compiler_options=options)
+    def sample(generator, key, clean, latent, level, camera):
         noise_key, row_key = jax.random.split(key)
-        shot, read = nlf or jax.vmap(estimate_nlf)(reference)
-        known, shown = (jnp.full(clean.shape[0], float(v)) for v in (nlf is not None, reference.shape[1]))
-        level = NoiseLevel(shot, read, known, shown)
-        n_init, sigma = draw(noise_key, clean, shot, read, camera)
-        encoder = {"params": average["encoder"], "spectral": spectral[1]}
-        latent = latent_of(networks, encoder, reference.reshape(-1, *reference.shape[-3:]))
-        if networks.encoder is not None:
-            latent = mean_latent(networks.encoder, latent.reshape(*reference.shape[:2], -1))
-        else:
-            latent = latent[:: reference.shape[1]]
-        generator = {"params": average["generator"], "spectral": spectral[0]}
+        n_init, sigma = draw(noise_key, clean, level.shot, level.read, camera)
         return networks.generator.apply(
             generator, clean, n_init, latent, sigma, train=False, level=level, rngs={"noise": row_key}
         )
 
-    return sample
+    return encode, sample
 
 
 @contextmanager

@@ -12,9 +12,9 @@ import numpy as np
 from ml_collections import ConfigDict
 
 from cannoise_jax.evaluation.compare import evaluate_model
-from cannoise_jax.evaluation.samplers import Samplers, samplers
+from cannoise_jax.evaluation.samplers import Samplers, by_latents, samplers
 from cannoise_jax.model_file import MODEL_FILE, save_model
-from cannoise_jax.sampling import Model, make_model, of_camera, sample_noise
+from cannoise_jax.sampling import Model, common_latent, latents_of, make_model, noise_at, of_camera
 from cannoise_jax.training.compiler import compiler_options
 from cannoise_jax.training.data import TrainingData
 from cannoise_jax.training.state import State, make_networks
@@ -47,25 +47,31 @@ def write_model(config: ConfigDict, state: State, data: TrainingData, workdir: P
 
 
 def samplers_of(model: Model, config: ConfigDict) -> Samplers:
-    """`sample_noise` itself on batches with references of their own, as `evaluation` takes it:
+    """What `sample_noise` gives on batches with references of their own, as `evaluation` takes it:
     (key, clean, reference, shot, read) -> noise; compiled as `config.compiler` says. A model with a sensor
     for each camera is told the camera."""
+    options = compiler_options(config)
+    encode = jax.jit(latents_of, compiler_options=options)
 
-    @partial(jax.jit, compiler_options=compiler_options(config))
-    def sample(model, key, clean, reference, nlf):
-        def one(key, clean, reference, nlf):
-            return sample_noise(model, key, clean, reference, nlf)
+    @partial(jax.jit, compiler_options=options)
+    def draw(model, key, clean, latent, level):
+        def one(key, clean, latent, level):
+            return noise_at(model, key, *jax.tree.map(lambda v: v[None], (clean, latent, level)))[0]
 
-        return jax.vmap(one)(jax.random.split(key, clean.shape[0]), clean, reference, nlf)
+        return jax.vmap(one)(jax.random.split(key, clean.shape[0]), clean, latent, level)
 
-    def of_its_camera(key, clean, reference, nlf, camera):
+    def of_all(key, clean, latents, level):
+        return draw(model, key, clean, common_latent(model, latents), level)
+
+    def of_its_camera(key, clean, latents, level, camera):
+        latent = common_latent(model, latents)
         own = [of_camera(model, sensor.camera) for sensor in model.sensors]
-        made = [np.asarray(sample(m, key, clean, reference, nlf)) for m in own]
+        made = [np.asarray(draw(m, key, clean, latent, level)) for m in own]
         return np.stack(made)[camera, np.arange(len(camera))]
 
-    if len(model.sensors) > 1:
-        return samplers(model.level, of_its_camera, by_camera=True)
-    return samplers(model.level, partial(sample, model))
+    several = len(model.sensors) > 1
+    sample = by_latents(partial(encode, model), of_its_camera if several else of_all)
+    return samplers(model.level, sample, by_camera=several)
 
 
 def compare(
