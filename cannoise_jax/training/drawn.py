@@ -16,7 +16,13 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float, Int, Key
 
-from cannoise_jax.physics.synthetic.prior import DrawnCamera, another_setting, draw_camera, record_drawn
+from cannoise_jax.physics.synthetic.prior import (
+    DrawnCamera,
+    analogue_drawn,
+    another_setting,
+    draw_camera,
+    stored_drawn,
+)
 from cannoise_jax.physics.synthetic.scenes import PATCH, Split, draw_scenes, mosaic
 from cannoise_jax.recordings.packing import pack
 
@@ -137,16 +143,32 @@ def _numbers(cameras: DrawnCamera) -> list[np.ndarray]:
     return [*(np.asarray(v) for v in cameras[:-1]), np.asarray(jax.random.key_data(cameras.unit))]
 
 
-@jax.jit
 def _record(key, numbers, fields, clean):
     """Noise and line of one patch of each camera; the numbers of the patches keep their draws apart."""
+    return _stored(key, numbers, fields, clean, _analogue(key, numbers, fields, clean))
 
+
+@jax.jit
+def _analogue(key, numbers, fields, clean):
     def one(number, fields, clean):
-        camera = DrawnCamera._make([*fields[:-1], jax.random.wrap_key_data(fields[-1])])
-        noise, line = record_drawn(jax.random.fold_in(key, number), camera, clean[None])
-        return noise[0], line
+        return analogue_drawn(jax.random.fold_in(key, number), _camera(fields), clean[None])[0]
 
     return jax.vmap(one)(numbers, fields, clean)
+
+
+@jax.jit
+def _stored(key, numbers, fields, clean, analogue):
+    def one(number, fields, clean, analogue):
+        own = jax.random.fold_in(key, number)
+        noise, line = stored_drawn(own, _camera(fields), clean[None], analogue[None])
+        return noise[0], line
+
+    return jax.vmap(one)(numbers, fields, clean, analogue)
+
+
+def _camera(fields) -> DrawnCamera:
+    """The inverse of `_numbers`, of one camera."""
+    return DrawnCamera._make([*fields[:-1], jax.random.wrap_key_data(fields[-1])])
 
 
 def _scene_patches(key, split: Split, scenes: int) -> Float[np.ndarray, "n 64 64 4"]:

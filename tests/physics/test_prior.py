@@ -9,7 +9,7 @@ import pytest
 
 from cannoise_jax.physics.core.presets import read_table
 from cannoise_jax.physics.synthetic import prior
-from cannoise_jax.physics.synthetic.prior import another_setting, draw_camera, record_drawn
+from cannoise_jax.physics.synthetic.prior import analogue_drawn, another_setting, draw_camera, stored_drawn
 
 
 @pytest.fixture(scope="module")
@@ -52,9 +52,29 @@ def test_another_setting_has_another_gain_and_the_same_structure():
 def test_the_line_that_comes_with_recordings_is_that_of_their_variance(cameras):
     few = jax.tree.map(lambda v: v[:4], cameras)
     clean = jnp.concatenate([jnp.full((4, 4, 32, 32, 4), x) for x in (0.05, 0.4)], 1)
-    noise, line = jax.jit(jax.vmap(record_drawn))(jax.random.split(jax.random.key(5), 4), few, clean)
+    keys = jax.random.split(jax.random.key(5), 4)
+    analogue = jax.jit(jax.vmap(analogue_drawn))(keys, few, clean)
+    noise, line = jax.jit(jax.vmap(stored_drawn))(keys, few, clean, analogue)
     for found, (shot, read), camera in zip(np.asarray(noise), np.asarray(line), range(4), strict=True):
         for part, x in ((found[:4], 0.05), (found[4:], 0.4)):
             # Rows are few and heavy tails few in number: a tenth.
             spread = np.mean(np.var(part, (1, 2)))
             assert spread == pytest.approx(shot * x + read, rel=0.15), camera
+
+
+def test_a_recording_in_two_halves_is_the_sensors_own_noise(cameras):
+    """By the same keys; a value that lies next to the middle of two codes may be rounded the other way."""
+    few = jax.tree.map(lambda v: v[:4], cameras._replace(stripes=jnp.zeros_like(cameras.stripes)))
+    assert (few.blend > 0).any()
+    clean = jnp.full((4, 1, 32, 32, 4), 0.1)
+    keys = jax.random.split(jax.random.key(6), 4)
+
+    def whole(key, camera, clean):
+        levels = (jnp.full((1, 4), v) for v in (camera.shot, camera.read))
+        own = jax.random.split(jax.random.split(key)[0], 1)[0]
+        return prior.sensor_of(camera).n_init()(own, clean, *levels)[0]
+
+    made, _ = jax.vmap(stored_drawn)(keys, few, clean, jax.vmap(analogue_drawn)(keys, few, clean))
+    wanted = jax.jit(jax.vmap(whole))(keys, few, clean)
+    assert np.std(wanted) > 1e-3
+    assert np.mean(np.abs(np.asarray(made - wanted)) > 1e-6) < 1e-3

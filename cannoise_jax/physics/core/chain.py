@@ -177,7 +177,8 @@ def _passed(along, slope: Array, shared: Array, name: str, record) -> Array:
     return shared * sum(along(part) ** 2 for part in parts)
 
 
-def _stage(model, key, x, acts_on: str, context: Context, values) -> Array:
+def stage(model, key, x, acts_on: str, context: Context, values) -> Array:
+    """What the mechanisms of one stage make of its values, in their order."""
     for i, fitted in enumerate(model.mechanisms):
         record = fitted.record
         if record.acts_on == acts_on and record.sample is not None:
@@ -225,16 +226,16 @@ def run_chain(
             inner = dataclasses.replace(inner, frame_before=True)
             keep, drawn = slice(frames), frames + 1
     mean = jnp.broadcast_to(mean, (drawn, *context.size))
-    mean = _stage(model, key, mean, "mean", inner, values)
+    mean = stage(model, key, mean, "mean", inner, values)
     charge = shot_noise(jax.random.fold_in(key, _SHOT), mean, noise.poisson_share)
-    charge = _stage(model, key, charge, "charge", inner, values)[keep]
+    charge = stage(model, key, charge, "charge", inner, values)[keep]
     read_key = jax.random.fold_in(key, _READ)
     if noise.tukey_lambda is None:
         read = sample_normal(read_key, charge.shape)
     else:
         read = tukey_lambda.standard_quantile(centred_uniform(read_key, charge.shape), noise.tukey_lambda)
     y = context.black_level + gain * (charge + read_noise * read)
-    return _stage(model, key, y, "signal", context, values), noise.code_step
+    return stage(model, key, y, "signal", context, values), noise.code_step
 
 
 def to_codes(model, key: Key[Array, ""], y: Float[Array, "t h w"], step, context: Context, values):
@@ -243,5 +244,5 @@ def to_codes(model, key: Key[Array, ""], y: Float[Array, "t h w"], step, context
     step = jnp.where(step > 0, step, 1.0)
     highest = jnp.floor(context.white_level / step) * step
     codes = jnp.clip(jnp.round(y / step) * step, 0.0, highest)
-    codes = _stage(model, key, codes, "code", dataclasses.replace(context, code_step=step), values)
+    codes = stage(model, key, codes, "code", dataclasses.replace(context, code_step=step), values)
     return jnp.clip(jnp.round(codes / step) * step, 0.0, highest)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from cannoise_jax.physics.core.chain import altered_noise, closed_form, run_chain, to_codes
+from cannoise_jax.physics.core.chain import altered_noise, closed_form, run_chain, stage, to_codes
 from cannoise_jax.physics.core.mechanism import Context
 from cannoise_jax.physics.core.poisson_gaussian import InitialNoise
 from cannoise_jax.physics.core.settings import Settings, context_of, context_of_nlf, resolve
@@ -21,11 +21,8 @@ def noise_at_level(model: Any, discretise: bool = True) -> InitialNoise:
     """Noise whose baseline is that of the shot and read that it is given; see `SensorModel.n_init`."""
 
     def draw(key, clean, shot, read):
-        mosaic = unpack(clean, model.cfa)
-        place, key = jax.random.split(key)
-        own = placed(model, place, mosaic.shape[-2:], repeat=False)
+        own, key, context, mosaic = _at_level(model, key, clean, shot, read)
         levels = tuple(to_mosaic_order(v, model.cfa) for v in (shot, read))
-        context = context_of_nlf(own, mosaic, *levels)
         noise = _noise(own, key, context, mosaic, discretise)
 
         def sigma(mosaic, shot, read):  # of one patch: closed forms know one frame
@@ -34,6 +31,34 @@ def noise_at_level(model: Any, discretise: bool = True) -> InitialNoise:
         return pack(noise, model.cfa), pack(jax.vmap(sigma)(mosaic, *levels), model.cfa)
 
     return draw
+
+
+def analogue_at_level(model: Any, key, clean, shot, read) -> Float[Array, "b h w"]:
+    """The first half of `noise_at_level`: values in DN just before rounding, mosaics."""
+    own, key, context, mosaic = _at_level(model, key, clean, shot, read)
+    return run_chain(own, key, context, resolve(own, context), mosaic.shape[0])[0]
+
+
+def noise_of_analogue(model: Any, last: Any, key, clean, shot, read, analogue) -> Float[Array, "b h w 4"]:
+    """The second half of `noise_at_level`: the noise of values that are analogue, as codes show it.
+
+    last: the model with the last mechanisms of the analogue signal alone, where the first half lacked them.
+    """
+    own, key, context, mosaic = _at_level(model, key, clean, shot, read)
+    values = resolve(own, context)
+    analogue = stage(last, key, analogue, "signal", context, resolve(last, context))
+    step = altered_noise(own, context, values).code_step
+    codes = to_codes(own, key, analogue, step, context, values)
+    return pack((codes - context.black_level) / context.span_dn - mosaic, model.cfa)
+
+
+def _at_level(model: Any, key, clean, shot, read) -> tuple[Any, Any, Context, Float[Array, "b h w"]]:
+    """The model in its place, the key of its draws, the context, and clean mosaics."""
+    mosaic = unpack(clean, model.cfa)
+    place, key = jax.random.split(key)
+    own = placed(model, place, mosaic.shape[-2:], repeat=False)
+    levels = (to_mosaic_order(v, model.cfa) for v in (shot, read))
+    return own, key, context_of_nlf(own, mosaic, *levels), mosaic
 
 
 def noise_at_exposure(model: Any, exposure_s: float, discretise: bool = True) -> InitialNoise:

@@ -18,6 +18,7 @@ Drawn per camera, log-uniform unless said otherwise:
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 from typing import Any, NamedTuple
@@ -29,7 +30,9 @@ from jaxtyping import Array, Float, Key
 
 from cannoise_jax.physics.core.presets import PHONES, preset, preset_names
 from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.physics.core.sensor_noise import analogue_at_level, noise_of_analogue
 
+_DENOISING = "in_camera_denoising"
 ROWS_MOST = 0.4
 """Largest offset of rows or columns, rms in units of the read noise."""
 
@@ -121,20 +124,46 @@ def sensor_of(camera: DrawnCamera) -> SensorModel:
         ("channel_offset", camera.offset),
     ):
         sensor = sensor.with_mechanism(id, sigma_dn=share * read_dn)
-    return sensor.with_mechanism("in_camera_denoising", weight=camera.blend)
+    return sensor.with_mechanism(_DENOISING, weight=camera.blend)
 
 
-def record_drawn(
+def analogue_drawn(
     key: Key[Array, ""], camera: DrawnCamera, clean: Float[Array, "n h w 4"]
+) -> Float[Array, "n h w"]:
+    """Values of one camera on packed patches just before it denoises and stores them, DN, mosaics: the
+    first half of a recording.
+
+    Two halves are two programs: in one, the compiler draws every pixel anew for each neighbour that the
+    denoising mixes it with.
+    """
+    sensor = sensor_of(camera).without(_DENOISING)
+
+    def of_one(key, image):
+        return analogue_at_level(sensor, key, image[None], *_levels(camera))[0]
+
+    return jax.vmap(of_one)(jax.random.split(jax.random.split(key)[0], clean.shape[0]), clean)
+
+
+def stored_drawn(
+    key: Key[Array, ""],
+    camera: DrawnCamera,
+    clean: Float[Array, "n h w 4"],
+    analogue: Float[Array, "n h w"],
 ) -> tuple[Float[Array, "n h w 4"], Float[Array, "2"]]:
-    """Noise of one camera on packed patches as stored codes show it (normalised, about `clean`), and the
-    line of its whole variance, (shot, read), rows and rounding and all."""
-    draw = sensor_of(camera).n_init()
-    levels = (jnp.full((1, 4), camera.shot), jnp.full((1, 4), camera.read))
+    """The second half, by the same key: noise of the camera on the patches as stored codes show it
+    (normalised, about `clean`), and the line of its whole variance, (shot, read), rows and rounding and all.
+    """
+    sensor, levels = sensor_of(camera), _levels(camera)
+    last = dataclasses.replace(
+        sensor, mechanisms=tuple(f for f in sensor.mechanisms if f.mechanism == _DENOISING)
+    )
     noise_key, stripe_key = jax.random.split(key)
-    of_each = jax.vmap(lambda k, image: draw(k, image[None], *levels)[0][0])
-    noise = of_each(jax.random.split(noise_key, clean.shape[0]), clean)
-    bright = 0.2
+
+    def of_one(key, image, analogue):
+        return noise_of_analogue(sensor, last, key, image[None], *levels, analogue[None])[0]
+
+    noise = jax.vmap(of_one)(jax.random.split(noise_key, clean.shape[0]), clean, analogue)
+    draw, bright = sensor.n_init(), 0.2
     flats = jnp.stack([jnp.zeros((2, 2, 4)), jnp.full((2, 2, 4), bright)])
     both = tuple(jnp.repeat(v, 2, 0) for v in levels)
     dark_power, bright_power = jnp.mean(jnp.square(draw(noise_key, flats, *both)[1]), (1, 2, 3))
@@ -142,6 +171,10 @@ def record_drawn(
     noise = noise + size * _stripes(stripe_key, camera.period, clean.shape)
     shot = (bright_power - dark_power) / bright
     return noise, jnp.stack([shot, dark_power + jnp.square(size)])
+
+
+def _levels(camera: DrawnCamera) -> tuple[Float[Array, "1 4"], Float[Array, "1 4"]]:
+    return jnp.full((1, 4), camera.shot), jnp.full((1, 4), camera.read)
 
 
 def _stripes(key, period, shape):
