@@ -97,13 +97,9 @@ class Panel:
         return int(jax.random.randint(self.key, (), 0, 2**31 - 1))
 
     def look(self, draw: Drawings, number: int, composite: bool = True) -> Looked:
-        """One simulator; number: of the candidate, for its random numbers. Scores are learned from draws with
-        the same for all of them: how bright the lamp happens to be in a few dozen frames moves a score by
-        more than a candidate gains."""
+        """One simulator; number: of the candidate, for the random numbers of all but its score."""
         pair = self.plain if number == PLAIN else _pair(draw, self.halves, _keys(self.key)[number])
-        scores = (
-            composite_scores(jax.random.fold_in(self.key, PLAIN), self.halves[1], draw) if composite else None
-        )
+        scores = composite_scores(_of_scores(self.key), self.halves[1], draw) if composite else None
         side = _side(self.real[1], pair[1], self.span, scores)
         told = judge(self.real, pair, self.seed) if self.patches else None
         return Looked(side, told)
@@ -218,6 +214,12 @@ def _pit(real: np.ndarray, fake: np.ndarray) -> np.ndarray:
     return np.histogram(u, _PIT_BINS, (0, 1))[0] / x.size
 
 
+def _of_scores(key: Key[Array, ""]) -> Key[Array, ""]:
+    """The random numbers of draws that a score is learned from, the same for all simulators: how bright a lamp
+    happens to be in a few dozen frames moves a score by more than a candidate gains."""
+    return jax.random.fold_in(key, NAMED)
+
+
 def composite_scores(key: Key[Array, ""], half: Prepared, draw: Drawings) -> Float[np.ndarray, "t"]:
     """Composite score of every frame held back, nats per pixel, learned from draws of the simulator: batches
     of as many frames as each recording has, for the mean of a batch is taken out of it."""
@@ -270,7 +272,7 @@ def composite_proofs(key: Key[Array, ""], proven: Proofs, quality: Quality, side
     full = Scored(quality.after.composite * pixels, alike, pixels)
     out = []
     for proof, without in zip(proven.each, sides.less, strict=True):
-        rest = composite_scores(jax.random.fold_in(key, 2), half, without)
+        rest = composite_scores(_of_scores(key), half, without)
         gain, low, high = frame_interval(full, Scored(rest * pixels, alike, pixels))
         sure = proof.confirmed
         out.append(Proof(proof.score, gain, low, high, int(pixels.sum()), "composite", shown=sure))
