@@ -215,8 +215,8 @@ def _pit(real: np.ndarray, fake: np.ndarray) -> np.ndarray:
 
 
 def _of_scores(key: Key[Array, ""]) -> Key[Array, ""]:
-    """The random numbers of draws that a score is learned from, the same for all simulators: how bright a lamp
-    happens to be in a few dozen frames moves a score by more than a candidate gains."""
+    """The random numbers of draws that a score is learned from, the same for all simulators: how bright a
+    lamp happens to be in a few dozen frames moves a score by more than a candidate gains."""
     return jax.random.fold_in(key, NAMED)
 
 
