@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
-from cannoise_jax.physics.local_median import local_median
+from cannoise_jax.physics.robust import local_median
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.added import as_map, placed

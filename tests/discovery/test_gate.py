@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import combinations
 from types import SimpleNamespace
 
 import jax
@@ -13,8 +14,9 @@ from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.frames.splits import split_recordings
 from cannoise_jax.discovery.proof import gate as gate_module
 from cannoise_jax.discovery.proof.check import Checked, check, compared_on, frames_for
-from cannoise_jax.discovery.proof.gate import Gain, Tried, lesser
+from cannoise_jax.discovery.proof.gate import lesser
 from cannoise_jax.discovery.proof.prove import Proof
+from cannoise_jax.discovery.proof.tried import Gain, Tried
 from cannoise_jax.discovery.proof.twosample import Area, differs
 from cannoise_jax.discovery.proof.verdict import verdict_of
 from cannoise_jax.discovery.result import Result
@@ -111,12 +113,27 @@ def test_what_the_frames_held_back_lose_by_goes_unless_draws_are_farther_without
     assert [t.steps for t in found.tried if t.entered] == [len(handed_back)]
 
 
-def gated(bench):
-    """What the gate lets in of two confirmed findings a and b, and the sides that it chose from."""
-    proofs = SimpleNamespace(each=(_proof(True),) * 2)
+@pytest.mark.parametrize("order", ["abc", "cab"])
+def test_one_wrong_finding_does_not_take_the_others_along(order):
+    """Three confirmed findings, of which c makes the draws worse whatever is beside it."""
+    areas = {"".join(s): 0.4 - 0.1 * ("a" in s) - 0.1 * ("b" in s) + 0.5 * ("c" in s) for s in _parts(order)}
+    sides = SimpleNamespace(plain=gate_module.of_model(""), model="", bare="", of="".join, level=str)
+    proofs = SimpleNamespace(each=tuple(_proof(True, gain=3.0 if s == "c" else 1.0) for s in order))
+    found = gate_module.gate(Bench(areas), sides, tuple(order), proofs)
+    assert (found.model, found.steps) == ("ab", ("a", "b"))
+    assert [(t.what, t.entered) for t in found.tried] == [("findings", False), ("findings one by one", True)]
+
+
+def _parts(letters):
+    return [s for n in range(len(letters) + 1) for s in combinations(letters, n)]
+
+
+def gated(bench, confirmed=True):
+    """What the gate lets in of two findings a and b, and the sides that it chose from."""
+    proofs = SimpleNamespace(each=(_proof(confirmed),) * 2)
     sides = SimpleNamespace(
         plain=gate_module.of_model("given"), model="given", bare="given",
-        of={(): "given", ("a",): "a", ("a", "b"): "ab"}.get, level=str,
+        of={(): "given", ("a",): "a", ("a", "b"): "ab"}.get, level=str, lowered=False,
     )  # fmt: skip
     return gate_module.gate(bench, sides, ("a", "b"), proofs), sides
 
@@ -253,7 +270,7 @@ def test_what_differs_where_nothing_did_is_worse(before, after, worse):
 def test_findings_whose_names_hold_enter_where_all_together_are_worse(alone, handed_back):
     areas = {"given": 0.4, "ab": 0.6, "a": alone, "a+": 0.5, "given+": 0.5}
     bench = Bench(areas)
-    found, sides = gated(bench)
+    found, sides = gated(bench, confirmed=False)
     assert found.model == "given"
     found = gate_module.remaining(found, bench, sides, ("a", "b"), ("a",), lambda model: model + "+")
     assert (found.model, found.steps) == handed_back

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from cannoise_jax.physics.local_median import local_median
+from cannoise_jax.physics.robust import local_median
 
 
 @pytest.mark.parametrize("size", [3, 5, 7])

@@ -18,8 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
-from cannoise_jax.physics.local_median import local_median
-from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.robust import local_median, robust_std
 
 _PEAK, _EDGE = 5.0, 3.0
 _ROUNDS = 5

@@ -19,8 +19,7 @@ from scipy import special
 
 from cannoise_jax.discovery.frames.contrasts import Stack, robust_mean
 from cannoise_jax.discovery.frames.shadows import light_at
-from cannoise_jax.physics.local_median import local_median
-from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.robust import local_median, robust_std
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.signatures.fields import channel_index, legendre
 

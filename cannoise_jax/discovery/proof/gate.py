@@ -1,12 +1,12 @@
 """Gate: what enters the simulator that is handed back, judged on the frames held back by draws.
 
 The findings enter unless they make the draws worse; where they do, those that the held-back frames confirm
-are tried alone. Findings at whose strength these frames are told less well than without go again, unless the
-draws are then worse. What no name explains enters, as the remainder, where it makes the draws better: beside
-all of these findings, in place of those that nothing describes well, or beside the fitted baseline alone. It
-goes again where the layer that knows no names then finds more that differs than before, and so do findings
-without a name; where nothing that is left is surely nearer, all of it does. So the simulator that is handed
-back is no worse than the one that was given, or the report says so first.
+are tried alone, and then one by one. Findings at whose strength these frames are told less well than without
+go again, unless the draws are then worse. What no name explains enters, as the remainder, where it makes the
+draws better: beside all of these findings, in place of those that nothing describes well, or beside the
+fitted baseline alone. It goes again where the layer that knows no names then finds more that differs than
+before, and so do findings without a name; where nothing that is left is surely nearer, all of it does. So the
+simulator that is handed back is no worse than the one that was given, or the report says so first.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 
 from cannoise_jax.discovery.proof.gains import frame_interval
 from cannoise_jax.discovery.proof.heldout import Scored
-from cannoise_jax.discovery.proof.prove import Proofs
+from cannoise_jax.discovery.proof.prove import Proof, Proofs
 from cannoise_jax.discovery.proof.quality import (
     NAMED,
     NAMED_ALONE,
@@ -33,15 +33,11 @@ from cannoise_jax.discovery.proof.quality import (
     Panel,
 )
 from cannoise_jax.discovery.proof.sides import Sides, of_model
-from cannoise_jax.discovery.proof.twosample import Area
+from cannoise_jax.discovery.proof.tried import LEAST_GAIN, Gain, Tried
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.signatures.fields import stratum
-
-LEAST_GAIN = 2e-4
-"""Nats a pixel that the composite score of two draws of one model differs by chance."""
-
 
 OF_GAIN = 0.01
 """Share of what the findings gain in the composite score that the remainder beside them may cost, where the
@@ -58,59 +54,16 @@ BY_CHANCE = 0.01
 draws, which one null in twenty is by chance, and whatever is drawn next is then nearer."""
 
 
+_MOST_ALONE = 8
+"""Findings that are tried one by one: each is drawn for it, which takes seconds."""
+
+
 FARTHER = 0.01
 """By how much the two-sample area may rise with the remainder, however sure: what one gain setting gains must
 not be at the cost of another."""
 
 
 Tell = Callable[[str], None]
-
-
-class Gain(NamedTuple):
-    """A change with its 90 % interval."""
-
-    value: float
-    low: float
-    high: float
-
-
-class Tried(NamedTuple):
-    """One candidate beside the simulator before it. what: `findings`, `findings that gain`, `confirmed
-    findings`, `findings with a name` or `remainder`; steps: findings in it; score: of the composite score,
-    nats a pixel, area: of what the two-sample area is above 0.5 (None: not measured, or told from chance
-    neither before nor after); entered: whether it is in the simulator that is handed back; least: change of
-    the score that counts as none."""
-
-    what: str
-    steps: int
-    score: Gain | None
-    area: Area | None
-    entered: bool
-    least: float = LEAST_GAIN
-
-    @property
-    def better(self) -> bool:
-        """Whether one measure improved beyond its interval, and none became worse."""
-        return not self.worse and (self.scored or self.nearer)
-
-    @property
-    def scored(self) -> bool:
-        """Whether the composite score improved beyond its interval."""
-        return self.score is not None and self.score.low > self.least
-
-    @property
-    def nearer(self) -> bool:
-        """Whether the two-sample area improved beyond its interval."""
-        return self.area is not None and self.area.high < 0
-
-    @property
-    def worse(self) -> bool:
-        """Whether a measure became worse beyond its interval, which few frames tell too narrow."""
-        score = (
-            0 if self.score is None else int(self.score.low > self.least) - int(self.score.high < -self.least)
-        )
-        area = 0 if self.area is None else int(self.area.high < 0) - int(self.area.sure > 0)
-        return min(score, area) < 0
 
 
 class Gated(NamedTuple):
@@ -183,7 +136,29 @@ def gate(
         all_tried.append(tried._replace(entered=enters))
         if enters:
             model, after, kept = candidate, looked, some
+    if not kept and len(sure) > 1:
+        tell("gate: findings one by one")
+        model, after, kept = _one_by_one(panel, sides, told, model, before)
+        if kept:
+            all_tried.append(_tried("findings one by one", kept, panel, before, after))
     return Gated(model, before, after, kept, tuple(all_tried), False)
+
+
+def _one_by_one(
+    panel: Panel, sides: Sides, told: Sequence[tuple[Step, Proof]], model: SensorModel, before: Looked
+) -> tuple[SensorModel, Looked, tuple[Step, ...]]:
+    """The confirmed findings that make the draws better beside those let in before them, the ones that gain
+    most first: one that is wrong does not take the others along."""
+    after, kept = before, tuple[Step, ...]()
+    sure = sorted((t for t in told if t[1].confirmed), key=lambda t: -(t[1].gain or 0.0))
+    for step, _ in sure[:_MOST_ALONE]:
+        some = tuple(s for s, _ in told if s is step or any(s is k for k in kept))
+        candidate = sides.level(sides.of(some))
+        looked = panel.look(of_model(candidate), SURE)
+        # Where all together are worse, each has to show by itself what it is worth.
+        if _tried("", some, panel, after, looked).better:
+            model, after, kept = candidate, looked, some
+    return model, after, kept
 
 
 def remaining(

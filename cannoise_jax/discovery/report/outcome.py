@@ -9,8 +9,9 @@ import numpy as np
 
 from cannoise_jax.discovery.compare.report import difference_document
 from cannoise_jax.discovery.frames.faults import at_iso
-from cannoise_jax.discovery.proof.gate import Gated, Tried
+from cannoise_jax.discovery.proof.gate import Gated
 from cannoise_jax.discovery.proof.judged import CALIBRATED
+from cannoise_jax.discovery.proof.tried import Tried
 from cannoise_jax.discovery.result import Result
 from cannoise_jax.discovery.search.model import adds
 from cannoise_jax.mechanisms.pedestal import LEVELS, PEDESTAL

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool
 from scipy import ndimage
 
-from cannoise_jax.physics.local_median import local_median
+from cannoise_jax.physics.robust import local_median
 from cannoise_jax.physics.transfer.bad_lines import told
 from cannoise_jax.physics.transfer.estimators.dead import dead_of
 from cannoise_jax.physics.transfer.estimators.pick import brightest_flat

@@ -16,8 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import optimize, stats
 
-from cannoise_jax.physics.local_median import local_median
-from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.robust import local_median, robust_std
 from cannoise_jax.physics.transfer.estimate import Estimate, Estimates, NotMeasurable
 from cannoise_jax.physics.transfer.estimator import BY_CHANCE
 from cannoise_jax.physics.transfer.estimators.charge import charge_map, log_estimate, long_and_short
