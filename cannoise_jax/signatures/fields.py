@@ -49,6 +49,7 @@ class Fields(NamedTuple):
     DN; number: place of the recording in its set; group: index of the gain setting. before: frames whose
     mean the last contrast is taken from, 0: none. unit: DN of the recording in one of all that is in DN here,
     see `referred`. charged: level of charge that was taken out of the mean, whose noise was not, DN.
+    level: share of what whole frames have in common that is left of it in the contrasts.
     """
 
     name: str
@@ -73,6 +74,7 @@ class Fields(NamedTuple):
     unit: float = 1.0
     louder: Float[np.ndarray, "h w"] | float = 1.0
     charged: Float[np.ndarray, "h w"] | float = 0.0
+    level: float = 1.0
 
     @property
     def lit(self) -> bool:
@@ -224,10 +226,13 @@ def stratum(field: Fields) -> int:
 
 
 def map_contrasts(field: Fields, function) -> Fields:
-    """The field with `function` applied to its contrasts and, as one more, to its static part."""
+    """The field with a linear `function` applied to its contrasts and, as one more, to its static part."""
     contrasts = function(field.contrasts) if len(field.contrasts) else field.contrasts  # a single frame
     static = None if field.static is None else function(field.static[None])[0]
-    return field._replace(contrasts=contrasts, static=static)
+    weight = field.weight.astype(np.float32)
+    power = float(np.sum(weight**2, dtype=float))
+    left = float(np.sum(function(weight[None])[0] * weight, dtype=float)) / power if power else 1.0
+    return field._replace(contrasts=contrasts, static=static, level=field.level * left)
 
 
 def without_pixels(fields: tuple[Fields, ...], out: np.ndarray) -> tuple[Fields, ...]:

@@ -219,24 +219,30 @@ def _information(r: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h"]:
 
 
 def _with_level(field: Fields, left: Fields, frequency: float, amplitude: float) -> Fields:
-    """`left` with the level of every frame as it was but for the part of its variance that a sinusoid of this
-    amplitude gives it: one of a few periods to the frame would take the drift of the light along."""
+    """`left` with the level of every frame as it is told beside a sinusoid of this amplitude in the frame:
+    one of a few periods to the frame would take the drift of the light along, and gives it a level of its
+    own. What its phase leaves open of that is noise of the level, which is brought back to one."""
     r = response(field, "signal").astype(np.float64)
     lines = np.sum(r**2, 1)
     total = max(float(lines.sum()), 1e-30)
-    turn = np.exp(-2j * np.pi * frequency * np.arange(lines.size))
-    share = float(np.abs(np.einsum("h,h->", lines, turn)) / total)
-    kept = 1 / np.sqrt(1 + 0.5 * (amplitude * share) ** 2 * total)
+    turn = 2 * np.pi * frequency * np.arange(lines.size)
+    terms = np.stack([np.ones(lines.size), np.cos(turn), np.sin(turn)])
+    expected = 2 / max(amplitude, 1e-30) ** 2  # of either phase: one over its variance
+    normal = np.einsum("ki,i,li->kl", terms, lines, terms) + np.diag([0.0, expected, expected])
+    told = np.linalg.pinv(normal)[0]
+    kept = 1 / np.sqrt(max(told[0] * total, 1.0))
     unit = r.astype(np.float32)
 
     def function(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-        was, now = (np.einsum("nij,ij->n", x, unit) / np.float32(total) for x in (before, after))
-        return after + (np.float32(kept) * was - now)[:, None, None] * unit
+        was = np.einsum("k,ki,ni->n", told, terms, np.einsum("nij,ij->ni", before, unit))
+        now = np.einsum("nij,ij->n", after, unit) / np.float32(total)
+        return after + (kept * was - now).astype(np.float32)[:, None, None] * unit
 
     static = None
     if field.static is not None and left.static is not None:
         static = function(field.static[None], left.static[None])[0]
-    return left._replace(contrasts=function(field.contrasts, left.contrasts), static=static)
+    contrasts = function(field.contrasts, left.contrasts)
+    return left._replace(contrasts=contrasts, static=static, level=field.level * float(kept))
 
 
 def _taken_out(field: Fields, frequency: float, strong: bool) -> Fields:

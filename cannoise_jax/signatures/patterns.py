@@ -75,7 +75,7 @@ def frame_score(fields: tuple[Fields, ...], *, scaling: str) -> Score[float] | N
             u, more = by_own_noise(u[:, None], pixels, np.array([float(np.sum(r > 0))]))
             u, i = u[:, 0], i * float(more[0])
             power.append(float(np.sum(u.astype(np.float64) ** 2)) / i)
-            information.append(i)
+            information.append(i * f.level**2)
             dof.append(len(f.contrasts))
             lit.append(f.lit)
     # One recording alone cannot say how what its frames share scales: another has to lack it, or show less.
@@ -107,9 +107,9 @@ def frame_absorb(fields: tuple[Fields, ...], score: Score[float], *, scaling: st
             continue
         r = (response(f, scaling) / f.louder).astype(np.float32)
         i = float(np.sum(r.astype(np.float64) ** 2))
-        shrink = (1 - 1 / np.sqrt(1 + score.payload * i)) / max(i, 1e-30)
-        u = np.einsum("nij,ij->n", f.contrasts, r) * np.float32(shrink)
-        out.append(f._replace(contrasts=f.contrasts - u[:, None, None] * r))
+        kept = 1 / np.sqrt(1 + score.payload * i * f.level**2)
+        u = np.einsum("nij,ij->n", f.contrasts, r) * np.float32((1 - kept) / max(i, 1e-30))
+        out.append(f._replace(contrasts=f.contrasts - u[:, None, None] * r, level=f.level * float(kept)))
     return tuple(out)
 
 

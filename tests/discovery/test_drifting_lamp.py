@@ -1,11 +1,14 @@
-"""A score that is learned from draws of a lamp that drifts, of several simulators with the same lamp."""
+"""A lamp that drifts: what scores learn of it, and how strong it is told beside what else moves frames."""
 
 import jax
 import numpy as np
+import pytest
 
 from cannoise_jax.discovery.frames.splits import splits_of
 from cannoise_jax.discovery.proof.quality import NAMED, WITH_REST, open_panel
 from cannoise_jax.discovery.proof.sides import of_model, simulators
+from cannoise_jax.discovery.search.fit import stepwise
+from cannoise_jax.mechanisms import ENTRIES
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import CaptureSet, Recording
 
@@ -37,3 +40,47 @@ def test_what_the_lamp_happens_to_be_is_no_difference_between_simulators():
     panel = open_panel(jax.random.key(3), splits.looking, splits.held_back, sides, None)
     one, two = (panel.look(of_model(m), n).side.composite for m, n in ((drifting, NAMED), (more, WITH_REST)))
     np.testing.assert_allclose(one, two, atol=2e-4)
+
+
+LOOKED_FOR = ("flicker", "frame_relative", "frame_additive", "row_additive_temporal", "row_relative_temporal")
+ROWS = np.arange(SIZE[0])[:, None]
+
+
+def frames_of(
+    rng: np.random.Generator, beside: str, light: float, count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Frames of one level of light, and how bright the lamp is in each."""
+    lamp = 1 + 0.004 * rng.standard_normal(count) if light else np.ones(count)
+    shape, level = (count, *SIZE), lamp[:, None, None] * np.ones((count, *SIZE))
+    moved = np.zeros((count, 1, 1))
+    if beside == "flicker":
+        phase = rng.uniform(0, 2 * np.pi, (count, 1, 1))
+        level = level * (1 + 0.012 * np.sin(2 * np.pi * ROWS / 20.7 + phase))
+    if beside == "row_noise":
+        moved = 1.5 * rng.standard_normal((count, SIZE[0], 1))
+    if beside == "offset_drift":
+        moved = 0.8 * rng.standard_normal((count, 1, 1))
+    electrons = rng.poisson(light * level)
+    codes = np.round(BLACK + moved + GAIN * (electrons + READ * rng.standard_normal(shape)))
+    return np.clip(codes, 0, 4095).astype(np.uint16), lamp
+
+
+@pytest.mark.parametrize("beside", ["", "flicker", "row_noise", "offset_drift"])
+def test_the_drift_of_a_lamp_has_its_strength_beside_what_else_moves_frames_or_rows(beside):
+    rng, recorded, lamps = np.random.default_rng(5), [], []
+    for n, light in enumerate((0.0, 500.0, 1200.0, 2500.0)):
+        frames, lamp = frames_of(rng, beside, light, 16)
+        kind = "flat" if light else "dark"
+        recorded.append(
+            Recording(frames, "MONO", (BLACK,) * 4, 4095.0, kind=kind, exposure_s=0.01, path=f"{n}_{kind}")
+        )
+        lamps += [lamp / lamp.mean()] if light else []
+    splits = splits_of(CaptureSet("made up", tuple(recorded)))
+    first = splits.looking
+    signatures = tuple(s for s in first.signatures if s.name in LOOKED_FOR)
+    fitted = stepwise(first.fields, signatures, frozenset(e.id for e in ENTRIES), np.log(0.01))
+    found = {s.named.mechanism: s.named.score for s in fitted.steps}
+    assert beside in found or not beside
+    looked = [lamp[chosen] for lamp, (chosen, _) in zip(lamps, splits.frames[1:], strict=True)]
+    drawn = np.sqrt(np.mean([np.var(values, ddof=1) for values in looked]))
+    assert found["illumination_drift"].amplitude == pytest.approx(drawn, rel=0.15)
