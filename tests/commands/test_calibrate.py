@@ -245,3 +245,9 @@ def test_entries_that_cannot_be_measured_are_one_line(name, said, folder, tmp_pa
     assert main(["--recordings", str(folder), "--out", str(out), "--mechanisms", place]) == 2
     err = capsys.readouterr().err
     assert said in err and err.count("\n") == 1 and not out.exists()
+
+
+def test_a_folder_without_its_flag_is_named(folder, tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        main([str(folder), "--out", str(tmp_path / "s.json")])
+    assert f"required: --recordings; {folder} stands alone: --recordings {folder}" in capsys.readouterr().err
