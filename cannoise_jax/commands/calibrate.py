@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from cannoise_jax.mechanisms.entry import Entry
     from cannoise_jax.physics.transfer.model import Finding
     from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer
-    from cannoise_jax.recordings.recording import CaptureSet
+    from cannoise_jax.recordings.recording import CaptureSet, Recording
 
 
 @command("calibrate")
@@ -205,7 +205,6 @@ def _photon_transfers(capture: CaptureSet) -> tuple[tuple[PhotonTransfer, ...], 
     from cannoise_jax.physics.transfer.frames import FrameStatistics, frame_statistics
     from cannoise_jax.physics.transfer.one_temperature import of_one_temperature
     from cannoise_jax.physics.transfer.photon_transfer import transfer_at
-    from cannoise_jax.physics.transfer.table import setting_of
 
     now_at("photon transfer")
     # As `photon_transfer`, which does not say how far it is.
@@ -234,15 +233,22 @@ def _photon_transfers(capture: CaptureSet) -> tuple[tuple[PhotonTransfer, ...], 
             wrong.uneven,
             wrong.halves,
         ):
-            _warn(capture.camera, line)
+            _warn(_named(capture.camera, alike[iso][0].recording if len(order) > 1 else None), line)
     _warn(capture.camera, told([s for iso in order for s in alike[iso]]))
     channels = partial(counted, doing="photon transfer: channels")
     transfers = tuple(transfer_at(every[iso], channels) for iso in order)
     for transfer in transfers:
         for line in doubts(transfer):
             said.append(line)
-            _warn(", ".join(filter(None, (capture.camera, setting_of(transfer)))), line)
+            _warn(_named(capture.camera, transfer.statistics[0].recording), line)
     return transfers, tuple(dict.fromkeys(filter(None, said)))
+
+
+def _named(camera: str, recording: Recording | None) -> str:
+    """The camera, with the gain setting of a recording where it has one."""
+    from cannoise_jax.physics.transfer.table import gain_words
+
+    return ", ".join(filter(None, (camera, gain_words(recording) if recording else "")))
 
 
 def _warn(of: str, line: str) -> None:

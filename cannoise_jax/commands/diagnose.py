@@ -165,7 +165,6 @@ def _diagnosed(arguments: argparse.Namespace, tell: Stages, started: float) -> t
     report = save(
         found,
         arguments.out,
-        key=arguments.key,
         seconds=time.monotonic() - started,
         force=arguments.force,
         used=size,

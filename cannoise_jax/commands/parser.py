@@ -11,7 +11,7 @@ import re
 import stat
 import sys
 from collections.abc import Callable, Sequence
-from itertools import takewhile
+from itertools import pairwise, takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -61,11 +61,12 @@ class OneLineParser(argparse.ArgumentParser):
         if words[1] and not words[0]:
             more["description"] = words[2][:1].upper() + words[2][1:]
         self._passes_on = passes_on
+        self._given: Sequence[str] = ()
         super().__init__(*args, **more)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """As argparse, but an unknown flag is named before what is missing, which it may be a slip of."""
-        given = sys.argv[1:] if args is None else list(args)
+        given = self._given = sys.argv[1:] if args is None else list(args)
         if not self._passes_on:
             self._check_names(given)
         self._check_files(given)
@@ -99,6 +100,10 @@ class OneLineParser(argparse.ArgumentParser):
         """Says what is wrong with the flags in one line, and ends."""
         for kind, words in (("int", "a whole number"), ("float", "a number")):
             message = re.sub(rf"invalid {kind} value: (.*)$", rf"\1: give {words}", message)
+        if message.startswith("the following arguments are required: ") and "--recordings" in message:
+            pairs = pairwise(["", *self._given])
+            alone = [w for before, w in pairs if not before.startswith("-") and Path(w).is_dir()]
+            message += f"; {alone[0]} stands alone: --recordings {alone[0]}" if alone else ""
         message = re.sub(r"^unrecognized arguments: (.*)$", r"\1: no flag stands before it", message)
         self.exit(2, f"{self.prog}: {printable(message)} (see --help)\n")
 

@@ -3,6 +3,7 @@ came out."""
 
 from __future__ import annotations
 
+import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -16,7 +17,7 @@ from jaxtyping import Array, Key
 from cannoise_jax.discovery.compare.remainder import with_remainder
 from cannoise_jax.discovery.compare.sources import Source, shaded
 from cannoise_jax.discovery.frames.battery import Prepared
-from cannoise_jax.discovery.frames.calls import check_one_size, checked_capture, checked_key
+from cannoise_jax.discovery.frames.calls import check_one_size, checked_capture, checked_key, seed_of
 from cannoise_jax.discovery.frames.faults import (
     FaultWarning,
     at_one_temperature,
@@ -108,6 +109,7 @@ def diagnose(
     are, ValueError for unknown names or an alpha out of (0, 1), TypeError for what is no capture set or no
     key.
     """
+    started = time.monotonic()
     if isinstance(alpha, bool) or not isinstance(alpha, int | float | np.number):
         raise TypeError(f"alpha is {alpha!r}: give a number between 0 and 1")
     if not 0 < alpha < 1:
@@ -209,6 +211,8 @@ def diagnose(
         model is not sides.model,
         faults,
         too_much,
+        seed_of(key),
+        time.monotonic() - started,
     )
 
 

@@ -33,7 +33,8 @@ class Result:
     entries: mechanisms that may be named. splits: frames of every recording that looked for effects, and that
     proved them. steps of `fitted` and `proofs` go together; proven: also the likelihood of the frames held
     back; quality: draws of the simulator before and after against those, None where not measured. faults: of
-    the recordings, by ISO. excess: what the simulator has more of than the recordings."""
+    the recordings, by ISO. excess: what the simulator has more of than the recordings. key: the seed that
+    repeats the run. seconds: that it took, in the report alone."""
 
     capture: CaptureSet
     simulator: str
@@ -53,6 +54,8 @@ class Result:
     entered: bool = True
     faults: Mapping[float | None, Faults] = field(default_factory=dict)
     excess: tuple[Excess, ...] = ()
+    key: int = 0
+    seconds: float | None = None
 
     @property
     def verdict(self) -> Verdict:

@@ -57,7 +57,7 @@ def read_fits(path: str | Path, **overrides: Any) -> Recording:
             "frames"
         )
     if words and "kind" not in known and overrides.get("kind") is None:
-        _log.warning("%s: IMAGETYP %r is unknown: taken for a scene; --kind states it", path, words)
+        _log.warning("%s: IMAGETYP %r is unknown: taken for a scene (bin/convert --kind)", path, words)
     if opened.about.get("doubt"):
         _log.warning("%s: %s", path, opened.about["doubt"])
     return make_recording(path, opened.frames, {"kind": "scene", **known}, overrides)

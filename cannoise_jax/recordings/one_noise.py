@@ -14,29 +14,31 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from cannoise_jax.recordings.recording import DARK, Recording
 
 _RATIO = 1.35**2
 """Of the variances of two frames: beyond it they are of another noise. An average of two frames has half the
 variance, repeats of one setting differ by a few per cent."""
-_SIGMAS = 4.5
+SIGMAS = 4.5
 """Errors of a variance by which it has to lie beyond that too: of a hundred honest recordings of a thousand
 frames one holds such a frame by chance."""
-_ERROR = 2.2
+ERROR = 2.2
 """Relative error of a mean square of differences of neighbours, times the root of their number."""
 _BULK = 0.9
 """Share of the differences that counts, the smallest: hits and noisy pixels stay out."""
 _SIDE = 512
 """Rows and columns that are looked at, about the middle."""
-_CODES = 0.5
+CODES = 0.5
 """Of the square of a code: the variance of a difference that rounding may bring or take where noise is less
 than a code, and the level of a frame moves by part of one."""
 _GAP = 4.0
 """How much further two levels are apart than all that their frames scatter: then they are two settings, and
 not dark charge that grows."""
-_FEWEST = 3
+FEWEST = 3
+"""Frames from which one can be told to be odd."""
+LEAST_SIDE = 8
 _MOST_APART = 0.25
 """Share of the frames up to which those of another noise are left out and the others surely the rule."""
 _ABOVE = 3.0
@@ -69,20 +71,41 @@ class Apart(NamedTuple):
     lit: bool
 
 
+class Noises(NamedTuple):
+    """Temporal variance of every frame in units of its own, DN^2 up to one common factor, the error of that,
+    and the mean signal above black, DN."""
+
+    variances: Float[np.ndarray, "t"]
+    errors: Float[np.ndarray, "t"]
+    signal: Float[np.ndarray, "t"]
+
+    @property
+    def centre(self) -> float:
+        """The variance of the frame in the middle, of two there the lower one."""
+        return float(np.sort(self.variances)[(len(self.variances) - 1) // 2])
+
+    @property
+    def below_none(self) -> Bool[np.ndarray, "t"]:
+        """The frames that lie nearer to two others than frames of noise of their own can."""
+        return self.variances < -SIGMAS * self.errors
+
+
 def apart(recording: Recording) -> Apart | None:
     """The frames of another temporal noise than the rest; None where all are alike, for scenes, which may
-    move, and for fewer than three frames, of which none can be told to be the odd one."""
-    if recording.count < _FEWEST or recording.kind == "scene" or min(recording.size) < 8:
+    move, and for fewer than three frames, of which none can be told to be the odd one. Averages
+    of frames that are there too are to be taken out before (see `own_average`)."""
+    if recording.count < FEWEST or recording.kind == "scene" or min(recording.size) < LEAST_SIDE:
         return None
-    variances, errors, signal = _noise(recording)
-    centre = float(np.sort(variances)[(len(variances) - 1) // 2])
+    noises = noises_of(recording)
+    variances, errors, signal = noises
+    centre = noises.centre
     # Less than none: the frames differ by a pattern of changing strength, which is no noise of theirs.
-    if centre <= 0 or np.any(variances < -_SIGMAS * errors):
+    if centre <= 0 or np.any(noises.below_none):
         return None
     seen = signal
     if recording.kind == "bias" or (recording.kind == "dark" and _in_two(signal)):
         signal = np.zeros_like(signal)
-    coarse = _CODES * _step(recording) ** 2
+    coarse = CODES * step_of(recording) ** 2
     alike = np.stack([_alike(variances, errors, signal, coarse, at) for at in range(len(variances))])
     # The rule is the noise that most frames share; of equal numbers that of the frame in the middle, of two
     # there the quieter one.
@@ -125,9 +148,9 @@ def short_names(files: Sequence[str]) -> list[str]:
     return [str(Path(file).relative_to(shared)) for file in files]
 
 
-def _step(recording: Recording) -> float:
-    """Spacing of the codes of the first frame, DN."""
-    codes = np.unique(np.asarray(recording.frames[:1]))
+def step_of(recording: Recording, number: int = 0) -> float:
+    """Spacing of the codes of a frame, DN."""
+    codes = np.unique(np.asarray(recording.frames[number : number + 1]))
     return float(np.gcd.reduce(np.diff(codes))) if len(codes) > 1 else 1.0
 
 
@@ -146,7 +169,7 @@ def _alike(
     floor = 3 * np.sqrt(max(variances[at], 0.0))  # below it the signal has no shot noise to speak of
     light = (signal + floor) / (signal[at] + floor) if floor > 0 else np.ones_like(signal)
     low, high = (variances[at] * pick(light, 1.0) for pick in (np.minimum, np.maximum))
-    room = _SIGMAS * np.hypot(errors, errors[at]) + coarse
+    room = SIGMAS * np.hypot(errors, errors[at]) + coarse
     return (variances >= low / _RATIO - room) & (variances <= high * _RATIO + room)
 
 
@@ -155,49 +178,47 @@ def _in_two(levels: Float[np.ndarray, "t"]) -> bool:
     out."""
     order = np.sort(levels)
     steps = np.diff(order)
-    if len(order) <= _FEWEST:
+    if len(order) <= FEWEST:
         return False
     at = int(np.argmax(steps))
     return bool(steps[at] > _GAP * (order[-1] - order[0] - steps[at]))
 
 
-def _noise(
-    recording: Recording,
-) -> tuple[Float[np.ndarray, "t"], Float[np.ndarray, "t"], Float[np.ndarray, "t"]]:
-    """Temporal variance of every frame in units of its own, DN^2 up to one common factor, the error of that,
-    and the mean signal above black, DN; of the middle of the frames."""
-    count, (height, width) = recording.count, recording.size
-    top, left = (max((n - _SIDE) // 2, 0) // 2 * 2 for n in (height, width))
-    black = float(np.mean(recording.black_level))
-
-    def middle(number: int) -> np.ndarray:
-        frame = np.asarray(recording.frames[number : number + 1])[0]
-        return frame[top : top + _SIDE, left : left + _SIDE].astype(np.float64) - black
-
+def noises_of(recording: Recording) -> Noises:
+    """The temporal noise of every frame, of the middle of the frames."""
+    count = recording.count
     signal, near, far = np.empty(count), np.zeros(count), np.zeros(count)
-    held = [middle(0)]
+    held = [middle_of(recording, 0)]
     size = max(held[0].size, 1)
     for number in range(count):
         signal[number] = held[0].mean()
-        held += [middle(after) for after in range(number + len(held), min(number + 3, count))]
+        held += [middle_of(recording, after) for after in range(number + len(held), min(number + 3, count))]
         first, *later = held
         for steps, other in zip((near, far), later, strict=False):
-            steps[number] = _square(first, other, recording)
+            steps[number] = mean_square(first, other, recording)
         held = later
     # D of each frame to its two, and of these to one another: of frame t those after it, of the last two
     # those before; of three frames there is one choice.
     at, back = np.arange(count - 2), [max(count - 2, 2), count - 1]
     ahead = np.array([near[at], far[at], near[at + 1]])
     behind = np.array([[near[t - 1], far[t - 2], near[t - 2]] for t in back]).T
-    if count == _FEWEST:
+    if count == FEWEST:
         behind[:, 0] = near[0], near[1], far[0]
     sides = np.concatenate([ahead, behind], 1)
     values = (sides[0] + sides[1] - sides[2]) / 2
-    errors = _ERROR / 2 * np.sqrt(np.sum(sides**2, 0) / size)
-    return values, errors, np.maximum(signal, 0.0)
+    errors = ERROR / 2 * np.sqrt(np.sum(sides**2, 0) / size)
+    return Noises(values, errors, np.maximum(signal, 0.0))
 
 
-def _square(first: np.ndarray, second: np.ndarray, recording: Recording) -> float:
+def middle_of(recording: Recording, number: int) -> Float[np.ndarray, "h w"]:
+    """The middle of a frame, DN above black."""
+    top, left = (max((n - _SIDE) // 2, 0) // 2 * 2 for n in recording.size)
+    frame = np.asarray(recording.frames[number : number + 1])[0]
+    black = float(np.mean(recording.black_level))
+    return frame[top : top + _SIDE, left : left + _SIDE].astype(np.float64) - black
+
+
+def mean_square(first: np.ndarray, second: np.ndarray, recording: Recording) -> float:
     """Mean square of the bulk of the differences between two frames, of neighbours of one colour."""
     a, b = first.mean(), second.mean()
     lit = recording.kind not in DARK and min(a, b) > 0

@@ -16,6 +16,7 @@ from cannoise_jax.recordings.one_light import odd_pictures, told
 from cannoise_jax.recordings.one_noise import apart, numbered, short_names, words
 from cannoise_jax.recordings.one_readout import disturbed, told_readout
 from cannoise_jax.recordings.over_time import check_single_exposures
+from cannoise_jax.recordings.own_average import AVERAGED, own_averages
 from cannoise_jax.recordings.plausible import check_kinds
 from cannoise_jax.recordings.recording import DARK, LIT, BadInput, CaptureSet, Recording
 
@@ -48,7 +49,8 @@ def usable(
 
     Left out are frames of one value, copies of an earlier frame, frames wholly at the white level, the few of
     which a part is another than in the rest (see `one_light`; not where unsteady ones are looked for), the
-    few at another level than the rest (see `one_level`), the few whose temporal noise is another than that of
+    few at another level than the rest (see `one_level`), averages of frames beside which they lie (see
+    `own_average`), the few whose temporal noise is another than that of
     the rest (see `one_noise`), and those read out with a disturbance (see `one_readout`); with its last frame
     a recording goes too. Raises BadInput for
     recordings that no file may hold (see `metadata.checked`), for none at all, for frames that are too small,
@@ -68,10 +70,11 @@ def usable(
         tell(number, looks)
         _check_size(recording)
         good, why = _judged(recording, seen)
-        judged.append((recording, good, why))
+        good, averaged = _without_averages(recording, good)
+        judged.append((recording, good, why + averaged))
         if recording.kind in LIT and (codes := _full_codes(recording, good)):
             full[_setting(recording)] = max(*codes, full.get(_setting(recording), 0.0))
-    # First of all: of frames averaged over time the last ones look as if they had another noise.
+    # Before all that follows: of frames averaged over time the last ones look as if they had another noise.
     check_single_exposures([_some(recording, good) for recording, good, _ in judged if good])
     for number, (recording, good, why) in enumerate(judged, len(judged)):
         tell(number, looks)
@@ -195,8 +198,21 @@ def _overfull(recording: Recording, full: dict[int, float]) -> list[int]:
 
 def of_several_noises(recording: Recording) -> str:
     """A line where the frames are not of one temporal noise, empty where they are."""
+    _, why = _without_averages(recording, list(range(recording.count)))
+    if why:
+        return why[0]
     found = apart(recording)
     return words(recording, found, range(recording.count)) if found else ""
+
+
+def _without_averages(recording: Recording, good: list[int]) -> tuple[list[int], list[str]]:
+    """The good frames but averages of others of them, and a line for each time that some were found: one may
+    hide another."""
+    lines: list[str] = []
+    while good and (averages := own_averages(left := _some(recording, good))):
+        good, why = _without(recording, left, good, averages, AVERAGED)
+        lines += why
+    return good, lines
 
 
 def _of_one_noise(recording: Recording, good: list[int], unsteady: bool) -> tuple[list[int], list[str]]:
@@ -212,7 +228,9 @@ def _of_one_noise(recording: Recording, good: list[int], unsteady: bool) -> tupl
     line = words(left, found, good)
     if not found.few:
         raise BadInput(f"{line}: leave them out (--leave-out), or put them in a folder of their own")
-    return [good[k] for k in found.others], [line]
+    # A loud frame makes the noise of those beside it uncertain: without it there may be more to see.
+    kept, more = _of_one_noise(recording, [good[k] for k in found.others], unsteady)
+    return kept, [line, *more]
 
 
 def _of_one_level(recording: Recording, good: list[int], unsteady: bool) -> tuple[list[int], list[str]]:

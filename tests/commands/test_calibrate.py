@@ -88,16 +88,20 @@ def test_how_far_it_is_is_said_as_estimators_end_and_not_before(folder, monkeypa
     assert np.diff(estimators).max() == 1  # one of them is measured before the others
 
 
-def test_two_isos_become_two_baselines(folder, tmp_path, capsys):
+def test_two_isos_become_two_baselines_and_what_one_of_them_lacks_says_which(
+    folder, tmp_path, capsys, caplog
+):
     for name in ("dark", "flat"):
         (folder / f"{name}.h5").unlink()
     for iso, level in ((100.0, 3000.0), (200.0, 1500.0)):
-        write(folder / f"dark{iso:g}.h5", 0.0, "dark", iso=iso)
+        write(folder / f"dark{iso:g}.h5", 0.0, "dark", iso=iso, exposure_s=60.0 if iso > 100 else 0.01)
         write(folder / f"flat{iso:g}.h5", level, "flat", iso=iso)
     out = tmp_path / "sensor.json"
     assert main(["--recordings", str(folder), "--out", str(out)]) == 0
     assert [row["iso"] for row in json.loads(out.read_text())["baseline"]] == [100.0, 200.0]
     assert "ISO 100" in capsys.readouterr().out
+    said = [line for line in caplog.messages if "darks of 60 s" in line]
+    assert said and all(line.startswith("made, ISO 200: ") for line in said)
 
 
 def test_overrides_reach_the_recordings_and_a_wrong_order_the_sheet(folder, tmp_path, caplog):
@@ -241,3 +245,9 @@ def test_entries_that_cannot_be_measured_are_one_line(name, said, folder, tmp_pa
     assert main(["--recordings", str(folder), "--out", str(out), "--mechanisms", place]) == 2
     err = capsys.readouterr().err
     assert said in err and err.count("\n") == 1 and not out.exists()
+
+
+def test_a_folder_without_its_flag_is_named(folder, tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        main([str(folder), "--out", str(tmp_path / "s.json")])
+    assert f"required: --recordings; {folder} stands alone: --recordings {folder}" in capsys.readouterr().err

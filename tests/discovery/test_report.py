@@ -16,6 +16,7 @@ import pytest
 
 from cannoise_jax.commands import diagnose as command
 from cannoise_jax.discovery.diagnose import diagnose
+from cannoise_jax.discovery.frames.calls import seed_of
 from cannoise_jax.discovery.frames.splits import split_recordings
 from cannoise_jax.discovery.proof.prove import Proof
 from cannoise_jax.discovery.report.document import digests, document
@@ -158,6 +159,17 @@ def test_a_report_goes_into_a_folder_that_is_named(found, folder):
     with pytest.raises(BadInput, match="name a folder for the report"):
         found.save(folder)
     assert len(repr(found)) < 300 and found.verdict in repr(found)
+
+
+def test_a_saved_report_states_the_key_and_the_time_of_its_run(found, tmp_path):
+    report = found.save(tmp_path / "report")
+    assert report["key"] == 1 and 0 < report["seconds"] < 3600
+    assert "key 1, family-wise" in (tmp_path / "report" / "report.html").read_text()
+
+
+@pytest.mark.parametrize("seed", [0, 7, 2**31])
+def test_a_key_is_stated_as_the_seed_that_makes_it(seed):
+    assert seed_of(jax.random.key(seed)) == seed_of(jax.random.PRNGKey(seed)) == seed
 
 
 def test_after_is_better_than_before_on_frames_held_back(report):

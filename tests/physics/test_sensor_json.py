@@ -339,6 +339,13 @@ def test_a_disk_that_fills_up_leaves_both_files_as_they_were(tmp_path, monkeypat
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
 
 
+@pytest.mark.parametrize("name", ["m.txt", "z.npz", "model"])
+def test_a_model_of_another_suffix_is_not_saved(tmp_path, name):
+    with pytest.raises(BadInput, match=r"a sensor model is a \.json file"):
+        camera().save(tmp_path / name)
+    assert not any(tmp_path.iterdir())
+
+
 def test_a_model_saves_and_loads_itself(tmp_path):
     path = tmp_path / "sensor.json"
     SensorModel.poisson_gaussian(1.5, 3.0, 200.0, 4095.0).with_mechanism("row_noise", sigma_dn=2.0).save(path)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax.recordings.one_noise import apart
+from cannoise_jax.recordings.own_average import own_averages
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
 from cannoise_jax.recordings.usable import of_several_noises, usable
 
@@ -116,3 +117,50 @@ def test_a_pattern_of_changing_strength_is_no_noise_of_frames():
     blocks = np.kron(np.indices((16, 20)).sum(0) % 2 - 0.5, np.ones((8, 8)))
     own += np.arange(6.0)[:, None, None] * 20 * np.roll(blocks, 1, 1)
     assert apart(recording(own, "flat")) is None
+
+
+def combined(own, how="mean"):
+    return np.rint(getattr(np, how)(own, 0))[None]
+
+
+@pytest.mark.parametrize(("kind", "electrons"), [("bias", 0.0), ("flat", 2000.0), ("scene", 2000.0)])
+@pytest.mark.parametrize("averaged", [2, 4, 6, 8, 10, 20])
+def test_an_average_of_the_very_frames_beside_it_is_left_out(kind, electrons, averaged):
+    rng = np.random.default_rng(9)
+    drift = np.linspace(1, 1.15, averaged) * (1 + 0.003 * rng.standard_normal(averaged))
+    own = frames(0, averaged, electrons=electrons, pattern=1 + 0.01 * rng.standard_normal(SIZE), light=drift)
+    kept, lines = usable(CaptureSet("c", (recording(np.concatenate([own, combined(own)]), kind),)))
+    assert kept.recordings[0].count == averaged
+    assert lines[0].startswith(f"x.h5: frame {averaged + 1}: an average or median of the frames beside it")
+
+
+@pytest.mark.parametrize("at", [0, 2, 6])
+@pytest.mark.parametrize("how", ["mean", "median"])
+def test_averages_are_told_wherever_they_lie_and_two_of_them(how, at):
+    own = frames(1, 6)
+    given = np.insert(own, at, combined(own, how)[0], axis=0)
+    assert usable(CaptureSet("c", (recording(given),)))[0].recordings[0].count == 6
+    assert of_several_noises(recording(given)).startswith(f"x.h5: frame {at + 1}: an average or median")
+    both = np.concatenate([own, combined(own[:4]), combined(own[1:], "median")])
+    assert np.array_equal(usable(CaptureSet("c", (recording(both),)))[0].recordings[0].frames, own)
+
+
+def test_what_an_average_beside_its_frames_hid_is_left_out_too():
+    own = frames(2, 8)
+    own[2] = frames(3, 1, gain=2.4)[0]
+    for average in (combined(own), combined(own[3:])):
+        given = recording(np.concatenate([own, average]), "bias")
+        kept, lines = usable(CaptureSet("c", (given,)))
+        assert kept.recordings[0].count == 7 and "frame" in lines[0]
+
+
+def test_a_frame_in_the_middle_of_patterns_that_change_is_no_average():
+    blocks = np.kron(np.indices((16, 20)).sum(0) % 2 - 0.5, np.ones((8, 8)))
+    patterns = np.stack([np.roll(blocks, shift, 1) for shift in range(2)])
+    rng = np.random.default_rng(4)
+    for seed in range(6):
+        count = 3 + seed
+        strength = 40 * rng.standard_normal((count, 2))
+        strength[count // 2] = np.delete(strength, count // 2, 0).mean(0)
+        own = np.rint(frames(seed, count) + 300 + np.einsum("tk,khw->thw", strength, patterns))
+        assert own_averages(recording(own, "flat")) == ()

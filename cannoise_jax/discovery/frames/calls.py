@@ -58,6 +58,13 @@ def _check_normalised(recording: Recording) -> None:
         raise BadInput(f"{place}: clean has median {middle:.4g}, {NOT_NORMALISED}")
 
 
+def seed_of(key: jax.Array) -> int:
+    """The number that makes the key (`jax.random.key`), or its words as one number where none does."""
+    typed = jax.dtypes.issubdtype(key.dtype, jax.dtypes.prng_key)
+    words = np.asarray(jax.random.key_data(key) if typed else key)
+    return int.from_bytes(words.astype(">u4").tobytes(), "big")
+
+
 def checked_key(key: Any) -> jax.Array:
     """The key as given, `jax.random.key(0)` for None. Raises TypeError for what is no single key of JAX."""
     if key is None:

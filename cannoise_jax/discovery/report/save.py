@@ -22,14 +22,14 @@ def save(
     found: Result,
     folder: str | Path,
     *,
-    key: int = 0,
-    seconds: float = 0.0,
+    seconds: float | None = None,
     force: bool = False,
     used: tuple[int, int] | None = None,
 ) -> dict[str, Any]:
     """Writes `REPORT_FILES` into a folder, made where it is missing, and returns the report.
 
-    key, seconds: of the run, as the report states them. used: rows and columns where frames were cut.
+    seconds: of the run, where more belongs to it than the search. used: rows and columns where frames were
+    cut.
     Raises BadInput for no folder, where a file exists (without force) or cannot be written; then all that was
     there is kept.
     """
@@ -41,9 +41,9 @@ def save(
         raise BadInput(f"{folder / there[0]}: exists: name another folder, or replace it (force)")
     report = document(
         found,
-        key=key,
+        key=found.key,
         version=importlib.metadata.version("cannoise-jax"),
-        seconds=seconds,
+        seconds=found.seconds if seconds is None else seconds,
         peak_memory_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     )
     if used is not None:

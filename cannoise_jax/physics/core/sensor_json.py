@@ -88,6 +88,8 @@ def check_place(path: Path, maps: bool = True) -> None:
     """Raises BadInput where `write_sensor` would not write a model, with maps or without."""
     if path.is_dir():
         raise BadInput(f"{path}: is a folder: name a file for the sensor model")
+    if path.suffix.lower() != ".json":  # its maps stand beside it as .npz
+        raise BadInput(f"{path}: a sensor model is a .json file: name it so")
     if _is_of_others(path):
         raise BadInput(f"{path}: is there already and is no sensor model: choose another name")
     npz = path.with_suffix(".npz")

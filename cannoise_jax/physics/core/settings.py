@@ -31,7 +31,8 @@ class Settings:
 
     An argument of jit and vmap like any other: numbers are traced, frames is part of its structure. The axes
     of its numbers under vmap are `jax.tree.map(lambda value: 0, settings)`.
-    Raises ValueError for numbers that no recording has, of Python, NumPy or JAX; traced ones pass.
+    Raises ValueError for numbers that no recording has, of Python, NumPy or JAX; traced ones pass, and None,
+    which among axes says that a number has none: what draws refuses it.
     """
 
     iso: float = 100.0

@@ -9,6 +9,7 @@ from cannoise_jax.physics.transfer.photon_transfer import PhotonTransfer, channe
 from cannoise_jax.physics.transfer.quantities import Quantity
 from cannoise_jax.physics.transfer.shape import dark_lines, lamp_notes
 from cannoise_jax.physics.transfer.stated_gain import gain_note
+from cannoise_jax.recordings.recording import Recording
 
 _LONG = 1e7
 """From here on numbers are written by their order: ends of intervals that nothing bounds."""
@@ -55,10 +56,14 @@ def format_transfer(result: PhotonTransfer) -> str:
 def setting_of(result: PhotonTransfer) -> str:
     """The gain setting as the camera counts it, empty where none is stated: the ISO of one that counts in dB
     is made up (100 at 0 dB)."""
-    decibels = result.statistics[0].recording.gain_db
-    if decibels is not None:
-        return f"gain {decibels:g} dB"
-    return "" if result.iso is None else f"ISO {result.iso:g}"
+    return gain_words(result.statistics[0].recording)
+
+
+def gain_words(recording: Recording) -> str:
+    """The gain setting of a recording, as `setting_of`."""
+    if recording.gain_db is not None:
+        return f"gain {recording.gain_db:g} dB"
+    return "" if recording.iso is None else f"ISO {recording.iso:g}"
 
 
 def format_outcome(outcome: Outcome) -> str:

@@ -83,5 +83,5 @@ def _contradiction(names: Sequence[str], named: float, stated: float) -> str:
     why = f", perhaps in {unit}" if unit else ""
     return (
         f"{listed(names)}: {named:g} s by name, but {stated:g} s by header or side-car{why}: the latter is "
-        "used; mend it, or state --exposure with bin/convert"
+        "used: mend the one that is wrong"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import PurePath
@@ -12,7 +13,7 @@ from cannoise_jax.recordings.folders.groups import Group
 from cannoise_jax.recordings.folders.kinds import LIT_DN
 from cannoise_jax.recordings.folders.lights import level_of
 from cannoise_jax.recordings.folders.names import listed
-from cannoise_jax.recordings.folders.shots import Shot
+from cannoise_jax.recordings.folders.shots import Shot, matches
 from cannoise_jax.recordings.join import ALIKE_KELVIN
 from cannoise_jax.recordings.recording import DARK
 
@@ -90,6 +91,13 @@ def _exposed_biases(groups: Sequence[Group]) -> list[str]:
     return [s.name for s in biases if (s.known.get("exposure_s") or 0.0) >= min(max(shortest, _BIAS_S), 1.0)]
 
 
+def _pattern(names: Sequence[str], groups: Sequence[Group]) -> str:
+    """A pattern for the names that fits no other of their set."""
+    pattern = os.path.commonprefix([PurePath(name).name for name in names]).rstrip("0123456789") + "*"
+    others = (s.name for g in groups for s in g.shots if s.name not in names)
+    return "NAME*" if pattern == "*" or any(matches(name, pattern) for name in others) else pattern
+
+
 def lacks(groups: Sequence[Group]) -> list[str]:
     """What the recordings of one set lack, or what looks odd of them, a line each."""
     notes = []
@@ -115,12 +123,12 @@ def lacks(groups: Sequence[Group]) -> list[str]:
     if timeless:
         notes.append(
             f"{listed(timeless)}: no exposure time in headers or names: what grows with it is not measured; "
-            "bin/convert IN... OUT.h5 --exposure SECONDS states it"
+            "names state it, as in dark_60s_1 or folders as in darks_60s"
         )
     if exposed := _exposed_biases(groups):
         notes.append(
             f"{listed(exposed)}: a bias has the shortest exposure that there is: where it was exposed for as "
-            "long as stated it is a dark: --kind states it"
+            f"long as stated it is a dark: --assign '{_pattern(exposed, groups)}=dark' says so"
         )
     warm = [g.settings["temperature_c"] for g in groups if g.settings["temperature_c"] is not None]
     if warm and max(warm) - min(warm) > ALIKE_KELVIN:

@@ -11,7 +11,13 @@ from cannoise_jax.recordings.folders.numerals import Reading, exposure_in, numbe
 from cannoise_jax.recordings.kind_words import kinds_in, one_of
 
 _MOST_NAMED = 3
-_AVERAGES = ("master", "superbias", "superdark", "superflat", "stacked", "integration", "averaged")
+_AVERAGES = re.compile(r"(?<![a-z])(master|superbias|superdark|superflat|stacked|integrated|averaged)")
+_COMBINED = re.compile(
+    r"(?<![^\W\d_])(avg|average|mean|median)(?![^\W_])(?![ _-]*(?:\d|level|adu|dn|value|count))"
+)
+"""Words for averages beside that of a kind, as whole words: no level ("flat_mean_20000") and no street."""
+_INTEGRATION = re.compile(r"^(?:drizzle_)?(integration)\d*$|(?<!time)(?<![ _-]t)(?<!^t)[ _-](integration)$")
+"""As stacking programs call what they write; elsewhere integration is a word for exposure."""
 _SHORT_GAIN = re.compile(r"(?<![a-z\d])g([1-9]\d*)(?![\da-z.])", re.IGNORECASE)
 _DECIBELS = re.compile(r"(?<![a-z])gain[ _-]?(\d+(?:\.\d+)?) ?db(?![a-z])", re.IGNORECASE)
 _ISO = 25, 5_000_000
@@ -46,7 +52,10 @@ def counted_up(name: str) -> tuple[list[str | int], str]:
 def named_average(path: PurePath) -> str | None:
     """The word in the file's own name that says it is an average of frames."""
     lower = path.stem.lower()
-    return next((word for word in _AVERAGES if re.search(rf"(?<![a-z]){word}", lower)), None)
+    found = _AVERAGES.search(lower) or _INTEGRATION.search(lower)
+    if not found and kinds_in(path.stem) - {"scene"}:
+        found = _COMBINED.search(lower)
+    return next(filter(None, found.groups()), None) if found else None
 
 
 class NamedSettings(NamedTuple):

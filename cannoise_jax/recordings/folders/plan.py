@@ -77,7 +77,7 @@ def plan_folder(
     stated: set[str] = set()
     for pattern, kind in assign:
         fitting = {s.name for s in found.shots if matches(s.name, pattern)}
-        notes += [] if fitting else [f"--assign {pattern}={kind}: no file of such a name"]
+        notes += [] if fitting else [f"--assign {pattern}={kind}: {_why_none(found, folder, pattern)}"]
         stated |= fitting
     kinds, more_notes, more_problems = kinds_of(found.shots, assign, overrides.get("kind"))
     notes, problems = notes + more_notes, problems + more_problems
@@ -112,6 +112,15 @@ def plan_folder(
     if not usable and not problems:
         problems.append("no file is a raw frame: " + "; ".join(notes))
     return Plan(folder, tuple(sets), tuple(dict.fromkeys(notes)), tuple(problems), overrides)
+
+
+def _why_none(found: Scan, folder: Path, pattern: str) -> str:
+    """Why a pattern fits none of the files that are used."""
+    if unmatched(folder, [pattern]):
+        return "no file of such a name"
+    averages = [name for name, _ in found.averages if matches(name, pattern)]
+    why = f"; {listed(averages)} as averages, by header or name: rename what is none" if averages else ""
+    return f"no file of such a name is used{why}"
 
 
 def check(plan: Plan) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
@@ -26,6 +26,8 @@ from cannoise_jax.recordings.stated_values import check_sites
 from cannoise_jax.recordings.usable import fault_of, is_full
 
 _SAMPLE = 1 << 20
+_OF_CODES = ("cfa", "black_level", "white_level")
+"""Fields without which a recording cannot be opened."""
 
 Tell = Callable[[int, int], None]
 
@@ -102,7 +104,7 @@ def scan(
     folder: Path,
     leave_out: Iterable[str] = (),
     tell: Tell = lambda n, total: None,
-    given: Iterable[str] = (),
+    given: Mapping[str, Any] | None = None,
 ) -> Scan:
     """Opens every file below a folder. leave_out: patterns of names, with * and ?, to pass over. given:
     fields that the caller states, whatever the files say of them.
@@ -132,7 +134,7 @@ def scan(
         name = str(path.relative_to(folder))
         tell(number, len(found))
         try:
-            shot = _shot(path, name, frozenset(given), counters)
+            shot = _shot(path, name, given or {}, counters)
         except _Dud as error:
             duds.append((name, str(error)))
             full += [error.full] if error.full is not None else []
@@ -214,10 +216,10 @@ def _closed(folder: Path, leave_out: tuple[str, ...], error: OSError) -> None:
         raise BadInput(f"{error.filename}: cannot be read ({error.strerror}): {remedy}") from error
 
 
-def _shot(path: Path, name: str, given: frozenset[str], counters: frozenset[str]) -> Shot:
+def _shot(path: Path, name: str, given: Mapping[str, Any], counters: frozenset[str]) -> Shot:
     whole = path.is_dir() or suffix_of(path) in NATIVE
     if whole:
-        recording = load_recording(path)
+        recording = load_recording(path, **{n: v for n, v in given.items() if n in _OF_CODES})
         fields = ("camera", "kind", "iso", "exposure_s", "temperature_c", "gain_db", "cfa")
         known = stated({f: getattr(recording, f) for f in fields})
         levels = {"black_level": recording.black_level, "white_level": recording.white_level}

@@ -139,7 +139,8 @@ def recording_of(group: Group, one: CaptureGroups, overrides: dict[str, Any]) ->
     """The frames of a group as one recording, still to be read. Raises BadInput."""
     first = group.shots[0]
     if first.whole:
-        return load_recording(first.path, **overrides)
+        assigned = {} if group.kind == first.said else {"kind": group.kind}
+        return load_recording(first.path, **overrides | assigned)
     settings = stated(group.settings) | one.levels.values | overrides
     parts = []
     for shot in group.shots:

@@ -5,7 +5,7 @@ from pathlib import PurePath
 import numpy as np
 import pytest
 
-from cannoise_jax.recordings.folders.names import named_settings
+from cannoise_jax.recordings.folders.names import named_average, named_settings
 from cannoise_jax.recordings.folders.numerals import counted
 from cannoise_jax.recordings.folders.plan import plan_folder
 from tests.recordings.folders.night import notes
@@ -88,3 +88,34 @@ def test_plans_say_what_of_names_was_not_read(tmp_path):
     for words in ("'1-250s' in names is read as 1/250 s", "'iso_1' in names may count files: not read",
                   "'1m30s' in names is not read as an exposure"):  # fmt: skip
         assert words in said
+
+
+@pytest.mark.parametrize(
+    ("name", "word"),
+    [
+        ("masterbias.fits", "master"), ("bias_stacked.fits", "stacked"), ("dark_avg.fits", "avg"),
+        ("mean_bias.fits", "mean"), ("Flat-Median.tif", "median"), ("bias_mean_gain100.fits", "mean"),
+        ("integration.fit", "integration"), ("integration1.fit", "integration"),
+        ("flat_integrated.fit", "integrated"),
+        ("Ha_integration.fit", "integration"), ("drizzle_integration.xisf", "integration"),
+    ],
+)  # fmt: skip
+def test_averages_by_name(name, word):
+    assert named_average(PurePath(name)) == word
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "dark_integration10ms_000.tif", "flat_integration_time_20ms.tif", "t_integration_3_dark.tif",
+        "dark_t_integration.tif", "t_integration.tif", "dark_integration-5s_1.tif",
+        "integration_10ms/dark_1.tif",
+        "meanwhile_flat.tif", "flat_meanwhile_3.tif", "flat_mean20000_001.fits", "flat_mean_20000_1.fits",
+        "flat_mean_level_1.fits", "median_strip_001.fits", "bias_20240112_0001.fits",
+        "light_mean_street_3.dng",
+        "dark_mittelwertfrei.fits", "bias_remastered.fits", "flat_avgust_3.fits",
+        "dark_gain100_2024-05-01.fits",
+    ],
+)  # fmt: skip
+def test_no_averages_by_name(name):
+    assert named_average(PurePath(name)) is None

@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 
+import h5py
 import numpy as np
 import pytest
 from astropy.io import fits
@@ -14,7 +15,7 @@ from cannoise_jax.physics.transfer.model import sensor_model
 from cannoise_jax.recordings.folders.aside import guessed_white_of
 from cannoise_jax.recordings.folders.plan import check, plan_folder
 from cannoise_jax.recordings.folders.plan_text import text
-from cannoise_jax.recordings.folders.store import Options, capture_of
+from cannoise_jax.recordings.folders.store import Options, capture_of, write_plan
 from cannoise_jax.recordings.recording import BadInput
 from tests.recordings.folders.night import labels, night, notes, shot
 
@@ -368,3 +369,36 @@ def test_a_stack_whose_last_axis_is_that_of_the_frames_is_doubted(tmp_path):
     for name in ("dark", "flat"):
         np.save(tmp_path / f"{name}.npy", np.moveaxis(np.load(tmp_path / f"{name}.npy"), -1, 0))
     assert "read as" not in text(plan_folder(tmp_path, {"cfa": "MONO", "white_level": 4095.0}))
+
+
+def test_a_pattern_for_files_that_are_left_out_is_no_pattern_without_files(tmp_path):
+    shot(night(tmp_path) / "bias_master.fits", "bias", IMAGETYP="Bias Frame")
+    said = notes(plan_folder(tmp_path, assign=[("*master*", "bias")]))
+    assert "--assign *master*=bias: no file of such a name is used; bias_master.fits as averages" in said
+
+
+def test_frames_named_after_their_integration_time_are_frames(tmp_path):
+    plan = plan_folder(night(tmp_path, names="{kind}_integration10ms_{n}.fits"))
+    assert labels(plan) == {"flat_2s": 2, "dark_60s": 2, "bias": 2}
+    assert "average" not in notes(plan)
+
+
+@pytest.mark.parametrize(("names", "pattern"), [("{kind}_{n}.fits", "bias_*"), ("{n}_{kind}.fits", "NAME*")])
+def test_exposed_biases_are_named_with_the_flag_that_makes_them_darks(tmp_path, names, pattern):
+    plan = plan_folder(night(tmp_path, names=names, EXPTIME=5.0))
+    assert f"it is a dark: --assign '{pattern}=dark' says so" in notes(plan)
+    if pattern != "NAME*":
+        assert "it is a dark" not in notes(plan_folder(tmp_path, assign=[(pattern, "dark")]))
+
+
+def test_what_the_caller_states_of_recordings_is_not_asked_for(tmp_path):
+    for kind in ("dark", "flat"):
+        with h5py.File(tmp_path / f"{kind}.h5", "w") as file:
+            file["frames"] = np.random.default_rng(0).integers(100, 900, (3, 16, 16), dtype=np.uint16)
+    stated = {"cfa": "MONO", "black_level": 100.0, "white_level": 4095.0}
+    assign = [("dark*", "dark"), ("flat*", "flat")]
+    assert "--cfa" in "".join(plan_folder(tmp_path, assign=assign).problems)
+    plan = plan_folder(tmp_path, stated, assign=assign)
+    assert not plan.problems
+    made = dict(write_plan(plan, tmp_path / "out"))
+    assert {r.kind for r in made.values()} == {"dark", "flat"}
