@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from cannoise_jax.recordings.one_noise import (
     CODES,
@@ -39,6 +39,8 @@ _NEARER = 0.8
 in it to three quarters at most, and a frame of its own to all of it."""
 _SHARE = 0.75
 """Of the other frames that have to lie nearest: some may be of another gain, or were rejected from it."""
+_PATTERN = 0.2
+"""Of the square of what two frames differ by, the share that may be no noise of theirs."""
 _FEW, _FEW_SHARE = 2, 0.25
 """Number and share of the frames up to which they may be averages of the others."""
 _ROUNDING = 0.11
@@ -78,6 +80,10 @@ def _nearest_to_most(
     for i, first in enumerate(held):
         for j, second in enumerate(held[:i]):
             between[i, j] = between[j, i] = mean_square(first, second, recording)
+    like = _of_noise_alone(between)
+    if len(like) < FEWEST:
+        return []
+    held, between = [held[n] for n in like], between[np.ix_(like, like)]
     nearest, usual = between.min(1), float(np.median(between[between < np.inf]))
     if usual < CODES * step_of(recording, others[0]) ** 2:
         return []  # rounding is most of what differs
@@ -92,6 +98,19 @@ def _nearest_to_most(
         return bool((below[number] or one or together) and np.mean(near < _NEARER * nearest) >= _SHARE)
 
     return [n for n in which if is_average(n)]
+
+
+def _of_noise_alone(between: Float[np.ndarray, "t t"]) -> list[int]:
+    """The frames of like noise, if they differ by it alone (D_ij = v_i + v_j); none where by patterns too, of
+    which a frame of its own may be in the middle."""
+    count = len(between)
+    sums = np.where(np.isinf(between), 0.0, between).sum(1)
+    noise = (sums - sums.sum() / (2 * (count - 1))) / (count - 2)
+    usual = float(np.median(noise))
+    like = np.flatnonzero((noise > _QUIET * usual) & (noise < usual / _QUIET))
+    pairs = [(i, j) for i in like for j in like if i < j]
+    fits = [abs(between[i, j] / (noise[i] + noise[j]) - 1) < _PATTERN for i, j in pairs]
+    return like.tolist() if usual > 0 and fits and np.mean(fits) >= _SHARE else []
 
 
 def _is_mean_of_two(recording: Recording, number: int, others: Sequence[int]) -> bool:

@@ -164,3 +164,10 @@ def test_a_frame_in_the_middle_of_patterns_that_change_is_no_average():
         strength[count // 2] = np.delete(strength, count // 2, 0).mean(0)
         own = np.rint(frames(seed, count) + 300 + np.einsum("tk,khw->thw", strength, patterns))
         assert own_averages(recording(own, "flat")) == ()
+
+
+def test_a_frame_amid_others_that_lie_about_it_is_no_average():
+    patterns = 300 * np.random.default_rng(6).standard_normal((2, *SIZE))
+    strength = np.array([[0.0, 0.0], [1.0, 0.1], [-0.6, 0.7], [-0.4, -0.8]]) / 10
+    own = frames(7, 4) + 300 + np.rint(np.einsum("tk,khw->thw", strength, patterns))
+    assert own_averages(recording(own, "flat")) == ()
