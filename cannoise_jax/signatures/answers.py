@@ -31,7 +31,7 @@ BY_TURNS = "column by turns"
 _AT_ONE_GAIN = 3
 _NONE = np.zeros((1, 1), np.float32)
 _PRODUCTS: Kept[dict[frozenset[str], np.ndarray]] = Kept(4)
-"""The last few of `_at_first`: those of the frames that look and of all, on two threads."""
+"""The last few of `at_first`: those of the frames that look and of all, on two threads."""
 
 
 def turns(count: int) -> Float[np.ndarray, "n"]:
@@ -245,10 +245,10 @@ def along_fields(
     """
     mixed = _looks(fields, axis)
     if mixed is None:
-        first = _at_first(fields, axis, _scalings(fields, scaling))
+        first = at_first(fields, axis, _scalings(fields, scaling))
         return lambda other: first[frozenset((scaling, other))]
     names = _told_apart(mixed)
-    products = _at_first(fields, axis, names)
+    products = at_first(fields, axis, names)
     unit = fields[0].unit
     own = _row(mixed, scaling, unit)
     mine = [
@@ -258,7 +258,7 @@ def along_fields(
     return lambda other: sum((s * m for s, m in zip(_row(mixed, other, unit), mine, strict=True)), _NONE)
 
 
-def _at_first(
+def at_first(
     fields: tuple[Fields, ...], axis: str, names: tuple[str, ...]
 ) -> dict[frozenset[str], Float[np.ndarray, "h w"]]:
     """By two scalings: sums over recordings of the products of what they answer to both before anything was

@@ -30,13 +30,15 @@ class Answers(NamedTuple):
     mixed: by place, what a pattern of each scaling looks like as those that are told apart, the same in all
     recordings. kept: by axis, what is left of what lines share in this recording [lines]. apart: by scaling,
     pixels that were no part of a map that was taken out. lines: by axis, the pixels that told of lines that
-    were taken out and the variance of those of each beside its offset [lines].
+    were taken out and the variance of those of each beside its offset [lines]. finer: by how much less noise
+    there is than was known when the first of them was taken out, as a factor of its inverse [h, w].
     """
 
     mixed: Mapping[str, Float[np.ndarray, "k k h w"]] = MappingProxyType({})
     kept: Mapping[str, Float[np.ndarray, "g"]] = MappingProxyType({})
     apart: Mapping[str, Bool[np.ndarray, "h w"]] = MappingProxyType({})
     lines: Mapping[str, tuple[Bool[np.ndarray, "h w"], Float[np.ndarray, "g"]]] = MappingProxyType({})
+    finer: Float[np.ndarray, "h w"] | float = 1.0
 
 
 class Fields(NamedTuple):
@@ -268,11 +270,13 @@ def refit(fields: tuple[Fields, ...], before: tuple[Fields, ...] = ()) -> tuple[
                 power = np.mean(values[away < limit] ** 2)
                 if power > 1e-6:  # less is what rounding leaves of a channel that never moves
                     factor[at] = 1 / np.sqrt(power)
+        answers = f.answers._replace(finer=f.answers.finer * factor) if f.answers.mixed else f.answers
         out.append(
             f._replace(
                 contrasts=f.contrasts * factor,
                 sigma=f.sigma / factor,
                 static=None if f.static is None else f.static * factor,
+                answers=answers,
             )
         )
     return tuple(out)

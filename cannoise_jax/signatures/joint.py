@@ -26,7 +26,7 @@ from scipy import stats
 
 from cannoise_jax.recordings.recording import KINDS
 from cannoise_jax.signatures.added import draw_pixels
-from cannoise_jax.signatures.answers import along_fields
+from cannoise_jax.signatures.answers import along_fields, at_first
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.handed import Predicted
 from cannoise_jax.signatures.line_sums import lines, static_sums
@@ -156,6 +156,7 @@ def _place(
     fields: tuple[Fields, ...], maps: Sequence[FrozenMap], axis: str, moved: list[tuple[str, np.ndarray]]
 ) -> _Place | None:
     """The maps of a place. moved: what pixels of lines have beside what is left, by scaling."""
+    given, fields = fields, tuple(_as_taken(f) for f in fields)
     which = [n for n, one in enumerate(maps) if one.axis == axis and one.variance > 0]
     sums = {n: _sums(fields, axis, maps[n].scaling) for n in which}
     which = [n for n in which if sums[n] is not None]
@@ -197,7 +198,33 @@ def _place(
     own_left = np.einsum("nii->ni", left)
     kept = np.sqrt(np.clip(1 - whitened * own_left, _LEAST, 1))
     taken = (1 - kept) * score / np.maximum(own_left, 1e-30)
-    return _Place(which, u, 0.5 * (m + m.transpose(0, 2, 1)), taken, apart)
+    finer = _finer(given, fields, axis, scalings)[:, None]
+    return _Place(which, u * finer, 0.5 * (m + m.transpose(0, 2, 1)) * finer[:, None], taken, apart)
+
+
+def _as_taken(field: Fields) -> Fields:
+    """The field standardised by the noise that was known when the first map was taken out: to that alone what
+    is left of the maps can be undone. A lamp that drifts is in the noise until it is found."""
+    by = field.answers.finer
+    if np.ndim(by) == 0:
+        return field
+    static = None if field.static is None else field.static / by
+    return field._replace(static=static, sigma=field.sigma * by, answers=field.answers._replace(finer=1.0))
+
+
+def _finer(
+    given: tuple[Fields, ...], taken: tuple[Fields, ...], axis: str, scalings: Sequence[str]
+) -> Float[np.ndarray, "n"]:
+    """By how much more the recordings tell of every number of a place by the noise that is known now."""
+    if all(a is b for a, b in zip(given, taken, strict=True)):
+        return np.ones(1)
+    now, then = (
+        np.sum([at_first(fields, axis, (s,))[frozenset((s,))] for s in scalings], axis=0)
+        for fields in (given, taken)
+    )
+    if axis != "pixel":
+        now, then = (lines(axis, then.shape).sums(v) for v in (now, then))
+    return (now / np.maximum(then, 1e-30)).ravel()
 
 
 def _sums(fields: tuple[Fields, ...], axis: str, scaling: str):

@@ -8,6 +8,7 @@ from cannoise_jax.discovery.frames.splits import splits_of
 from cannoise_jax.discovery.proof.quality import NAMED, WITH_REST, open_panel
 from cannoise_jax.discovery.proof.sides import of_model, simulators
 from cannoise_jax.discovery.search.fit import stepwise
+from cannoise_jax.discovery.search.maps import beside_others, one_draw
 from cannoise_jax.mechanisms import ENTRIES
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import CaptureSet, Recording
@@ -84,3 +85,30 @@ def test_the_drift_of_a_lamp_has_its_strength_beside_what_else_moves_frames_or_r
     looked = [lamp[chosen] for lamp, (chosen, _) in zip(lamps, splits.frames[1:], strict=True)]
     drawn = np.sqrt(np.mean([np.var(values, ddof=1) for values in looked]))
     assert found["illumination_drift"].amplitude == pytest.approx(drawn, rel=0.15)
+
+
+def test_sensitivities_of_pixels_are_no_stronger_beside_a_lamp_that_drifts():
+    """The drift is in the noise that maps are measured beside until it is found: what was taken of them is
+    known by that."""
+    rng, recorded = np.random.default_rng(8), []
+    response = 1 + 0.02 * rng.standard_normal(SIZE)
+    for n, light in enumerate((0.0, 1500.0, 4000.0)):
+        lamp = 1 + (0.01 * rng.standard_normal(8) if light else np.zeros(8))
+        electrons = rng.poisson(light * response * lamp[:, None, None])
+        codes = np.round(BLACK + GAIN * (electrons + READ * rng.standard_normal((8, *SIZE))))
+        frames, kind = np.clip(codes, 0, 4095).astype(np.uint16), "flat" if light else "dark"
+        recorded.append(
+            Recording(frames, "MONO", (BLACK,) * 4, 4095.0, kind=kind, exposure_s=0.01, path=f"{n}_{kind}")
+        )
+    first = splits_of(CaptureSet("made up", tuple(recorded))).looking
+    looked_for = ("pixel_relative_static", "frame_relative")
+    signatures = tuple(s for s in first.signatures if s.name in looked_for)
+    fitted = stepwise(first.fields, signatures, frozenset(e.id for e in ENTRIES), np.log(0.01))
+    assert [s.named.signature.name for s in fitted.steps] == list(looked_for)
+    steps = beside_others(fitted.steps)
+    assert steps[0].named.score.amplitude == pytest.approx(response.std(), rel=0.02)
+    pattern = one_draw(steps)[0]
+    assert pattern.std() == pytest.approx(response.std(), rel=0.02)
+    # A draw of what is known: half of what it is off by is that the frames have noise.
+    noise = np.sqrt(2 / (6 * (1500 + 4000)))
+    assert np.std(pattern - response) == pytest.approx(noise, rel=0.15)
