@@ -147,6 +147,11 @@ def _per_frame(found: list[Spikes]) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     return number, np.array([s.frames for s in darks], float), np.array([s.exposure_s for s in darks])
 
 
+def by_exposure(fields: tuple[Fields, ...]) -> tuple[float, float]:
+    """log p of hits that come as often at every exposure, and of hits in proportion to it."""
+    return _grows_log_p(find(fields))
+
+
 def _grows_log_p(found: list[Spikes]) -> tuple[float, float]:
     """log p that the rate per frame is the same at every exposure, against one that grows with it, and that
     it grows in proportion, against one that does not; 0 each where the exposures tell nothing."""

@@ -9,7 +9,7 @@ import pytest
 
 from cannoise_jax.discovery.frames.battery import prepare
 from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
-from cannoise_jax.discovery.proof.claims import by_level, lasting
+from cannoise_jax.discovery.proof.claims import by_level, lasting, whatever_exposure
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import Named
 from tests.discovery.capture import capture_set
@@ -179,3 +179,25 @@ def test_darks_say_nothing_of_sensitivities():
     assert score is not None and score.log_p < -20
     named = Named(score, signature, "prnu", (("prnu", 1.0),), False)
     assert lasting(Step(named, prepared.fields, score.log_p)) is None
+
+
+@pytest.mark.parametrize("law", ["of the exposure", "of the frame", "of both"])
+def test_hits_that_every_exposure_has_alike_are_none_of_particles(law):
+    """Two adjoining pixels a hit; of both: particles that hit a slow read-out too."""
+
+    def alter(rng):
+        def change(dn, signal, kind, t):
+            number = {"of the exposure": 400 * t, "of the frame": 20, "of both": 8 + 250 * t}[law]
+            for _ in range(rng.poisson(number if kind == "dark" else 0)):
+                y, x = rng.integers(0, 95), rng.integers(0, 127)
+                dn[y, x : x + 2] += 200
+            return dn
+
+        return change
+
+    step = named_map(capture_set(5, alter, kinds="d", frames=8), "hits", "cosmic_rays")
+    assert step.log_p < -20
+    found = whatever_exposure(step)
+    assert (found is None) == (law != "of the frame")
+    if found is not None:
+        assert "short darks" in found.against[0]

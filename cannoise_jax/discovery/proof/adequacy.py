@@ -23,7 +23,14 @@ from cannoise_jax.discovery.compare.run import Compared, compare_bank
 from cannoise_jax.discovery.compare.sources import Source, modelled, shaded
 from cannoise_jax.discovery.compare.table import differences, lines_of
 from cannoise_jax.discovery.proof.check import frames_for_names
-from cannoise_jax.discovery.proof.claims import by_level, empty, forgetful, lasting, two_levels
+from cannoise_jax.discovery.proof.claims import (
+    by_level,
+    empty,
+    forgetful,
+    lasting,
+    two_levels,
+    whatever_exposure,
+)
 from cannoise_jax.discovery.proof.gate import Gated
 from cannoise_jax.discovery.proof.gaussian import not_gaussian
 from cannoise_jax.discovery.proof.one_sided import one_sided
@@ -167,6 +174,7 @@ def doubts(
             or ranged(steps[n])
             or lasting(steps[n])
             or by_level(steps[n])
+            or whatever_exposure(steps[n])
             or noisy_again(steps[n])
             or shared_map(steps[n])
             or in_parts(steps[n])

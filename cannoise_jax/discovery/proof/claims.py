@@ -26,6 +26,7 @@ from cannoise_jax.discovery.proof.own_part import Borne, drawn_structures, own_p
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
 from cannoise_jax.signatures import bank
+from cannoise_jax.signatures.events import by_exposure
 from cannoise_jax.signatures.fields import Fields, channel_index, quoted_at
 
 _SHARED = 0.5
@@ -53,6 +54,9 @@ _CHANCE = 1e-3
 """Probability of that share by chance (Smirnov)."""
 _FEWEST_PIXELS = 20
 """Pixels that jump, recorded and drawn, below which nothing is told of their levels."""
+_GROWS, _NO_PROPORTION = 0.01, 1e-4
+"""Chance of hits that come as often at every exposure below which they grow with it, as those of particles do
+beside what a slow read-out takes up, and of hits in proportion to it below which they are not."""
 _REMEMBERED = 0.25
 """Correlation of lines with those of the frame before, beyond what the simulator has."""
 FAR_OUT = (of(TEMPORAL, TAILS), UNSTEADY, IN_ONE_FRAME, LEVELS)
@@ -178,6 +182,22 @@ def by_level(step: Step) -> Doubt | None:
         return None
     what = f"{100 * share:.0f} % of it is alike wherever the signal is: a curve of the signal, not of places"
     return Doubt(share, (what,), instead=True)
+
+
+def whatever_exposure(step: Step) -> Doubt | None:
+    """What speaks against a name for hits that grow in number with the exposure, whatever they look like: as
+    many in short darks as in long ones, as those of the read-out or of its surroundings."""
+    axes = step.named.signature.axes
+    if step.named.mechanism == UNKNOWN or (axes.time, axes.law, axes.scales) != (
+        "redrawn",
+        "sparse",
+        "exposure",
+    ):
+        return None
+    same, proportional = by_exposure(step.before)
+    if same < np.log(_GROWS) or proportional > np.log(_NO_PROPORTION):
+        return None
+    return Doubt(1.0, ("there are as many in short darks as in long ones",), instead=True)
 
 
 def two_levels(whole: Compared) -> Doubt | None:
