@@ -260,3 +260,20 @@ def test_far_pixels_have_the_law_that_their_levels_follow(grows):
     scores = {law: by_name[f"hot_{law}"].score(prepared.fields) for law in ("thermal", "additive")}
     right, wrong = ("thermal", "additive") if grows else ("additive", "thermal")
     assert scores[right].log_p < -100 and scores[wrong].log_p == 0
+
+
+def test_a_map_of_dark_current_holds_how_the_sites_of_the_mosaic_differ():
+    """The level of each site is taken out of every recording before a map is looked for."""
+    rate = 8 * np.random.default_rng(4).gamma(4.0, 0.25, SIZE)
+    rate[::2, 1::2] += 3
+
+    def alter(rng):
+        return lambda dn, signal, kind, t: dn + rate * t / 0.1 * (kind == "dark")
+
+    first = splits_of(capture_set(7, alter, kinds="df", frames=8)).looking
+    signatures = (SIGNATURES["pixel_thermal_static"],)
+    steps = stepwise(first.fields, signatures, frozenset(MECHANISMS), -5.0).steps
+    (drawn,) = one_draw(steps)
+    sites = [[float(m[y::2, x::2].mean()) for y in (0, 1) for x in (0, 1)] for m in (drawn, rate)]
+    drawn_apart, apart = (np.subtract(s, np.mean(s)) for s in sites)
+    np.testing.assert_allclose(drawn_apart, apart, atol=0.25)

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from jaxtyping import Float
 
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import Named
+from cannoise_jax.recordings.packing import SITES
+from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures import joint
 from cannoise_jax.signatures.fields import Fields, quoted_at
 from cannoise_jax.signatures.handed import Predicted
@@ -35,7 +38,29 @@ def patterns(steps: tuple[Step, ...], rng: np.random.Generator) -> list[np.ndarr
             alike = (one.axis, one.scaling) == ("pixel", single.named.signature.axes.scales)
             if values is not None and alike and values.shape == found.shape:
                 drawn[n] = np.where(found != 0, 0.0, values)
+    for n in out:
+        if drawn[n] is not None and (_map_of(steps[n]).axis, _map_of(steps[n]).scaling) == (
+            "pixel",
+            "exposure",
+        ):
+            drawn[n] = drawn[n] + _levels_of_sites(steps[n].before)
     return drawn
+
+
+def _levels_of_sites(fields: tuple[Fields, ...]) -> Float[np.ndarray, "h w"]:
+    """By how much the level of each site of the mosaic grows beyond that of all up to the longest dark, DN. A
+    map is told beside the level of its site in each recording, which is taken out with it."""
+    darks = [f for f in fields if f.kind in DARK and f.exposure_s is not None]
+    seconds = np.array([float(f.exposure_s or 0.0) for f in darks])
+    out = np.zeros(fields[0].mean.shape)
+    if len(set(seconds)) < 2:
+        return out
+    levels = np.array([[np.median(f.mean[at]) - f.black[c] for c, at in enumerate(SITES)] for f in darks])
+    beyond = levels - levels.mean(1, keepdims=True)
+    slope = np.polyfit(seconds, beyond, 1, w=np.sqrt([f.frames for f in darks]))[0]
+    for c, at in enumerate(SITES):
+        out[at] = slope[c] * seconds.max()
+    return out
 
 
 def one_draw(steps: tuple[Step, ...]) -> list[np.ndarray | None]:
