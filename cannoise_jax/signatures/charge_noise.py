@@ -47,15 +47,17 @@ def _growth(field: Fields, variance: np.ndarray) -> Float[np.ndarray, "h w"]:
 
 
 def _level_out(field: Fields, static: np.ndarray) -> Fields:
-    """The field without the level of each channel that its static part holds by its weights of now. Pixels
-    that stand out have no part in it: they would take what they collect from all others."""
+    """The field with the level of each channel that its static part holds by its weights of now in its mean:
+    it was recorded, and its charge with it. Pixels that stand out have no part in it: they would take what
+    they collect from all others."""
     weight, channel = field.weight, channel_index(field.mean.shape)
     level = np.zeros(4, np.float32)
     like = np.abs(static) < _FAR * max(robust_std(static[field.usable], 0.0), 1.0)
     for c in range(4):
         at = (channel == c) & like
         level[c] = np.sum(weight[at] * static[at]) / max(float(np.sum(weight[at] ** 2)), 1e-30)
-    return field._replace(static=static - weight * level[channel])
+    mean = field.mean + level[channel] / np.float32(np.sqrt(field.frames))
+    return field._replace(static=static - weight * level[channel], mean=mean)
 
 
 _LOWEST = 0.001

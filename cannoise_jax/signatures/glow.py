@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy import special
+from scipy import ndimage, special
 
 from cannoise_jax.physics.robust import local_median
 from cannoise_jax.recordings.packing import SITES
@@ -32,11 +32,7 @@ from cannoise_jax.signatures.falls import (
 from cannoise_jax.signatures.fields import Fields, channel_index
 from cannoise_jax.signatures.handed import Addition, Found
 from cannoise_jax.signatures.heat import less_levels, levels_around
-from cannoise_jax.signatures.least import (
-    Law,
-    Seen,
-    template,
-)
+from cannoise_jax.signatures.least import Law, Seen, template
 from cannoise_jax.signatures.means import minus, project
 from cannoise_jax.signatures.patterns import pixel_sums
 from cannoise_jax.signatures.rare import spread_of
@@ -175,8 +171,18 @@ def _free_form(
     rate = template * strength / (longest or 1.0)
     for side in _SIDES:
         left = sums._replace(score=sums.score - sums.information * rate)
-        rate = rate + levels_around(left, side)
+        rate = rate + _sites_alike(levels_around(left, side))
     return above_least(rate)
+
+
+def _sites_alike(around: np.ndarray) -> np.ndarray:
+    """Levels without what sets the sites of the mosaic apart: that of each was fitted too, and is any."""
+    smooth, out = around, np.array(around)
+    for axis in (0, 1):  # nothing that alternates is left by this
+        smooth = ndimage.correlate1d(smooth, (0.25, 0.5, 0.25), axis, mode="mirror")
+    for at in SITES:
+        out[at] -= np.mean((around - smooth)[at])
+    return out
 
 
 def _one(fields: tuple[Fields, ...], template: np.ndarray) -> tuple[float, float]:
@@ -238,6 +244,15 @@ def _level(fields: tuple[Fields, ...], glow: Glow) -> float:
     return float(np.clip(shown, means.min(), means.max()))
 
 
+def _gain_of(found: Found) -> np.ndarray | float:
+    """DN/e- of every pixel. Where the form was measured that of its site of the mosaic, so that what was
+    recorded is drawn: else gains that differ by their errors would draw lines through a strong glow."""
+    gains = [f.gain for f in found.fields if f.unit == 1]  # strengths hold at the lowest gain
+    if not (found.score.payload.stands_out and gains and np.all(gains[0] > 0)):
+        return found.gain
+    return gains[0][channel_index(found.size)]
+
+
 def from_edges(
     *,
     name: str,
@@ -252,9 +267,9 @@ def from_edges(
     def simulate(found: Found) -> Addition | None:
         if found.pattern is None:
             return None
-        peak = float(found.pattern.max())
-        rate = found.score.amplitude * peak / found.gain / found.seconds
-        return Addition({parameter: rate}, {"glow": as_map(found.pattern / peak)})
+        charge = found.score.amplitude * found.pattern / _gain_of(found)
+        peak = float(charge.max())
+        return Addition({parameter: peak / found.seconds}, {"glow": as_map(charge / peak)})
 
     def least(sets: tuple[Seen, ...]) -> Law:
         """From a corner, a fifth of the longer side deep."""

@@ -9,8 +9,9 @@ from scipy import ndimage
 from cannoise_jax.discovery.frames.battery import prepare
 from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.signatures.dark_noise import excess_score
-from cannoise_jax.signatures.fields import Fields
-from cannoise_jax.signatures.glow import glow_absorb, glow_again, glow_score
+from cannoise_jax.signatures.fields import Fields, channel_index
+from cannoise_jax.signatures.glow import from_edges, glow_absorb, glow_again, glow_score
+from cannoise_jax.signatures.handed import Found
 from cannoise_jax.signatures.levels import dark_levels, dark_rise
 from tests.discovery.capture import capture_set
 
@@ -160,3 +161,30 @@ def test_hot_pixels_beside_a_glow_take_no_dark_current_from_the_others():
     hidden = excess_score(left)
     assert hidden is not None
     assert hidden.amplitude * seconds < 3 * hidden.error * seconds + 2
+
+
+def test_a_glow_of_its_own_form_is_as_bright_in_the_four_sites():
+    y, x = np.indices(SIZE)
+    signal = 1000 / (1 + (np.hypot(y - 1.03 * SIZE[0], x - 0.2 * SIZE[1]) / 28) ** 2) ** 1.5
+    for seed in range(3):
+        score = glow_score(darks(np.random.default_rng(seed), signal, 6))
+        assert score is not None and score.payload.stands_out
+        off = score.payload.template * score.amplitude - signal
+        sites = [np.mean(off[r::2, c::2]) for r in (0, 1) for c in (0, 1)]
+        assert np.ptp(sites) < 0.6
+
+
+def test_a_strong_glow_is_drawn_as_it_was_recorded_at_every_site():
+    """Gains of the sites that differ by their errors draw no lines through it."""
+    signature = from_edges(name="glow", parameter="e_per_s", covers=(), before=(), lifted_by=())
+    signal = 400 * np.exp(-np.hypot(*np.indices(SIZE)) / 30.0)
+    gain = np.array([2.0, 2.03, 1.99, 1.98])
+    fields = tuple(f._replace(gain=gain) for f in darks(np.random.default_rng(3), signal, 6))
+    score = glow_score(fields)
+    assert score is not None and score.payload.stands_out
+    pattern = signature.pattern(fields, score, np.random.default_rng(0))
+    found = Found("amp_glow", score, fields, pattern, float(gain.mean()), 1.0, 10.0, 10.0, 1e4, SIZE)
+    added = signature.simulate(found)
+    rate = added.values["e_per_s"] * np.asarray(added.maps["glow"])[0]
+    drawn = rate * gain[channel_index(SIZE)] * found.seconds
+    np.testing.assert_allclose(drawn, score.amplitude * pattern, rtol=1e-4, atol=1e-3)

@@ -81,3 +81,26 @@ def test_the_noise_of_a_glow_that_was_found_is_that_of_its_charge(seed):
     assert found(0.0).log_p > np.log(1e-3)
     beside = found(0.5)
     assert beside.log_p < -8 and beside.amplitude == pytest.approx(0.5, abs=0.15)
+
+
+def test_a_glow_that_no_fall_has_the_form_of_hides_no_charge():
+    """So steep that its darks' own levels are those of the pixels far from it: what the rest of the frame has
+    above them is charge too, and so is the foot that reaches all of it."""
+    y, x = np.indices(SIZE)
+    fall = (1 + (np.hypot(y - 1.03 * SIZE[0], x - 0.2 * SIZE[1]) / 16) ** 2) ** -1.5
+
+    def left(seed, hidden):
+        capture = darks(seed, 40.0 * fall, 0.0, hidden=hidden)
+        prepared = prepare(capture, all_frames(split_recordings(capture)), False)
+        (glow,) = (s for s in prepared.signatures if s.name == "glow")
+        return glow.absorb(prepared.fields, glow.score(prepared.fields))
+
+    fields = left(0, 0.0)
+    found = excess_score(fields)
+    assert abs(found.parameters["e_per_s"][0]) < 3 * found.error and found.error < 0.1
+    for f in (f for f in fields if f.kind == "dark"):
+        level = f.mean + f.charged + f.static * f.sigma / np.sqrt(f.frames)
+        charge = GAIN * 40.0 * fall.mean() * f.exposure_s
+        assert np.mean(level[f.usable]) - BLACK == pytest.approx(charge, rel=0.01, abs=0.1)
+    beside = excess_score(left(0, 3.0))
+    assert beside.log_p < -8 and beside.amplitude == pytest.approx(3.0, abs=0.5)
