@@ -56,7 +56,7 @@ class Axes:
         return lines and (self.time, self.scales, self.law) == ("redrawn", "additive", "white")
 
 
-CONTRASTS = frozenset({"contrasts", "usable", "sigma", "louder"})
+CONTRASTS = frozenset({"contrasts", "usable", "sigma", "louder", "level"})
 """What a statistic of differences between frames reads of a field."""
 ONE_FACTOR = "one factor"
 """Law of a pattern that all pixels have times one number a frame."""
