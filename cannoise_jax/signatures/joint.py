@@ -129,8 +129,9 @@ def _place_by_place(
     """Lines first, then pixels, given what lines are. settled(maps of a place, shape of one) -> what they are
     taken to be."""
     moved: list[tuple[str, np.ndarray]] = []
+    taken = tuple(_as_taken(f) for f in fields)
     for axis in ("row", "column", "pixel"):
-        place = _place(fields, maps, axis, moved)
+        place = _place(fields, taken, maps, axis, moved)
         if place is not None:
             values = settled(place, _SHAPES.get(axis, fields[0].mean.shape))
             moved += _taken_from(maps, place, values, axis)
@@ -153,10 +154,14 @@ def _taken_from(
 
 
 def _place(
-    fields: tuple[Fields, ...], maps: Sequence[FrozenMap], axis: str, moved: list[tuple[str, np.ndarray]]
+    given: tuple[Fields, ...],
+    fields: tuple[Fields, ...],
+    maps: Sequence[FrozenMap],
+    axis: str,
+    moved: list[tuple[str, np.ndarray]],
 ) -> _Place | None:
-    """The maps of a place. moved: what pixels of lines have beside what is left, by scaling."""
-    given, fields = fields, tuple(_as_taken(f) for f in fields)
+    """The maps of a place. given, fields: as they are, and `_as_taken`. moved: what pixels of lines have
+    beside what is left, by scaling."""
     which = [n for n, one in enumerate(maps) if one.axis == axis and one.variance > 0]
     sums = {n: _sums(fields, axis, maps[n].scaling) for n in which}
     which = [n for n in which if sums[n] is not None]

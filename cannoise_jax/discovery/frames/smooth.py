@@ -21,7 +21,7 @@ from cannoise_jax.discovery.frames.contrasts import Stack, robust_mean
 from cannoise_jax.discovery.frames.shadows import light_at
 from cannoise_jax.physics.robust import local_median, robust_std
 from cannoise_jax.recordings.packing import SITES
-from cannoise_jax.signatures.fields import channel_index, legendre
+from cannoise_jax.signatures.fields import legendre
 
 START, STOP = 4, 16
 """Degree of the surface that is always fitted, and the highest one that is tried."""
@@ -69,15 +69,12 @@ def surface_of(stacked: Stack, dust: Bool[np.ndarray, "h w"] | None = None) -> F
     per channel; DN. dust: places that are left out, None: none."""
     mean = without_lines(stacked)
     size = mean.shape
-    channel = channel_index(size)
     out = np.zeros(size, np.float32)
     degree = START if stacked.recording.kind == "flat" else 0
-    for c in range(4):
-        chosen = channel == c
+    for c, at in enumerate(SITES):
         if degree == 0:
-            out[chosen] = robust_mean(mean[chosen])
+            out[at] = robust_mean(mean[at])
             continue
-        at = SITES[c]
         values = mean[at].astype(np.float64)
         clear = None if dust is None else ~dust[at]
         looked = np.ones(values.shape, bool) if clear is None else clear

@@ -188,11 +188,8 @@ def whatever_exposure(step: Step) -> Doubt | None:
     """What speaks against a name for hits that grow in number with the exposure, whatever they look like: as
     many in short darks as in long ones, as those of the read-out or of its surroundings."""
     axes = step.named.signature.axes
-    if step.named.mechanism == UNKNOWN or (axes.time, axes.law, axes.scales) != (
-        "redrawn",
-        "sparse",
-        "exposure",
-    ):
+    claimed = (axes.time, axes.law, axes.scales) == ("redrawn", "sparse", "exposure")
+    if step.named.mechanism == UNKNOWN or not claimed:
         return None
     same, proportional = by_exposure(step.before)
     if same < np.log(_GROWS) or proportional > np.log(_NO_PROPORTION):

@@ -30,20 +30,19 @@ def patterns(steps: tuple[Step, ...], rng: np.random.Generator) -> list[np.ndarr
         out[n] if n in out else s.named.signature.pattern(s.before, s.named.score, rng)
         for n, s in enumerate(steps)
     ]
+    of_pixels = {n: one.scaling for n in out if (one := _map_of(steps[n])).axis == "pixel"}
     for single, found in zip(steps, drawn, strict=True):
-        if found is None or not (single.named.signature.single_pixels and single.named.signature.frozen):
+        signature = single.named.signature
+        if found is None or not (signature.single_pixels and signature.frozen):
             continue
-        for n in out:
-            values, one = drawn[n], _map_of(steps[n])
-            alike = (one.axis, one.scaling) == ("pixel", single.named.signature.axes.scales)
-            if values is not None and alike and values.shape == found.shape:
+        for n, scaling in of_pixels.items():
+            values = drawn[n]
+            if values is not None and scaling == signature.axes.scales and values.shape == found.shape:
                 drawn[n] = np.where(found != 0, 0.0, values)
-    for n in out:
-        if drawn[n] is not None and (_map_of(steps[n]).axis, _map_of(steps[n]).scaling) == (
-            "pixel",
-            "exposure",
-        ):
-            drawn[n] = drawn[n] + _levels_of_sites(steps[n].before)
+    for n, scaling in of_pixels.items():
+        values = drawn[n]
+        if values is not None and scaling == "exposure":
+            drawn[n] = values + _levels_of_sites(steps[n].before)
     return drawn
 
 
