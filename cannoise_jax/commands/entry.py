@@ -133,23 +133,27 @@ def progress(doing: str, alone: bool = True) -> Callable[..., None]:
     """Says on stderr how many are done and how long the rest will take, once that is worth saying: on one
     line of a terminal, else a line every few seconds. next_one: what is being done now. alone: else what is
     done is said by the caller, and only silence is broken."""
-    started = last = time.monotonic()
+    started = last = entered = time.monotonic()
     spoken = False
     at = 0, 0, ""
 
     def words() -> str:
         number, total, next_one = at
-        spent = time.monotonic() - started
         text = f"{doing}: {number} of {total}"
-        # What is being done may take longer than what was: none of it is taken for done.
-        text += f", {duration(spent / number * (total - number))} left" if number else ""
+        # What is being done may take longer than what was: beyond the time of all that is left it tells
+        # nothing of when that ends, and no time is said.
+        usual = (entered - started) / number * (total - number) if number else 0.0
+        left = usual - (time.monotonic() - entered)
+        text += f", {duration(left)} left" if left > 0 else ""
         return text + (f", now {printable(next_one)}" if next_one else "")
 
     pulse = current()
 
     def tell(number: int, total: int, next_one: str = "") -> None:
-        nonlocal last, spoken, at
+        nonlocal last, spoken, at, entered
         now, first = time.monotonic(), not at[1]
+        if (number, total) != at[:2]:
+            entered = now
         at = number, total, next_one
         if number >= total:
             pulse.done(words)

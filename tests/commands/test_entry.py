@@ -13,6 +13,7 @@ import warnings
 import pytest
 
 from cannoise_jax.commands import entry, interrupts
+from cannoise_jax.commands.pulse import Pulse
 from cannoise_jax.physics.core.settings import ExtrapolationWarning
 
 COMMANDS = (
@@ -257,6 +258,27 @@ def test_progress_speaks_when_it_takes_long_and_estimates(monkeypatch, capsys):
     now[0] += 60.0
     only(1, 1)  # nothing is left to wait for
     assert capsys.readouterr().err == ""
+
+
+def test_a_piece_that_takes_longer_than_all_the_others_tells_no_time(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    pulse = Pulse("x")
+    monkeypatch.setattr(entry, "current", lambda: pulse)
+    tell = entry.progress("doing")
+    for number in range(3):
+        now[0] = number * 5.0
+        tell(number, 4, f"piece {number}")
+    said = []
+    for seconds in (10.0, 14.0, 19.0, 40.0):
+        now[0] = seconds
+        said.append(pulse.words())
+    assert said == [
+        "doing: 2 of 4, 10 s left, now piece 2",
+        "doing: 2 of 4, 6 s left, now piece 2",
+        "doing: 2 of 4, 1 s left, now piece 2",
+        "doing: 2 of 4, now piece 2",
+    ]
 
 
 @pytest.mark.parametrize(

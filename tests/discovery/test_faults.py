@@ -10,12 +10,14 @@ from cannoise_jax.commands.calibrate import calibrate
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.frames.faults import (
     FaultWarning,
+    fault_lines,
     faults_of,
     without_moving,
     without_moving_flats,
 )
 from cannoise_jax.discovery.report.document import document
 from cannoise_jax.discovery.report.page import page
+from cannoise_jax.physics.transfer.faults import Faults
 from cannoise_jax.physics.transfer.frames import frame_statistics
 from cannoise_jax.physics.transfer.rails import moved
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
@@ -55,6 +57,15 @@ def test_darks_cut_off_at_zero_are_said_as_calibrating_refuses_them():
     assert "black_clipping" in found.findings
     text = page(found, report)
     assert "Dark.h5: darks are cut off at 0" in text.split("Gain and read noise")[0]
+
+
+def test_a_fault_names_its_setting_where_there_are_several():
+    wrong = Faults(unlit="the light stops", moves="the scene moves")
+    assert fault_lines({100.0: wrong, 400.0: Faults()}) == [
+        "the gain at ISO 100 was not measured: the scene moves",
+        "ISO 100: the light stops",
+    ]
+    assert fault_lines({100.0: wrong})[1] == fault_lines({None: wrong})[1] == "the light stops"
 
 
 def test_a_black_level_that_the_darks_contradict_is_said_and_found(caplog):

@@ -37,16 +37,18 @@ def faults_of(capture: CaptureSet) -> dict[float | None, Faults]:
 
 
 def fault_lines(found: Mapping[float | None, Faults]) -> list[str]:
-    """A line for each reason why recordings bear no measurement, or contradict what is stated of them."""
+    """A line for each reason why recordings bear no measurement, or contradict what is stated of them, with
+    the setting where there are several."""
     out = []
     for iso, wrong in found.items():
+        of = f"ISO {iso:g}: " if len(found) > 1 and iso is not None else ""
         moves = f"the gain{at_iso(iso)} was not measured: {wrong.moves}" if wrong.moves else ""
         doubted = f"the gain{at_iso(iso)}: {wrong.doubted}" if wrong.doubted else ""
         lines = (
             f"{wrong.lines}: defects, for which there is no name among the findings" if wrong.lines else ""
         )
-        measured = *wrong.stated, wrong.unlit, lines, wrong.longer, wrong.uneven, wrong.spots
-        out += [line for line in (wrong.cut_off, moves, doubted, *measured) if line]
+        plain = wrong.cut_off, *wrong.stated, wrong.unlit, lines, wrong.longer, wrong.uneven, wrong.spots
+        out += [line for line in (moves, doubted, *(f"{of}{line}" for line in plain if line)) if line]
     return out
 
 
