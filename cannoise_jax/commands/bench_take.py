@@ -230,7 +230,7 @@ def _trial(root: Path, name: str, content: dict[str, Any]) -> _Parts:
 
 def _diagnosis(content: dict[str, Any]) -> _Parts:
     """The findings of a diagnosis, a row each."""
-    from cannoise_jax.discovery.report.wording import amount, nats
+    from cannoise_jax.discovery.report.wording import amount, between, nats
     from cannoise_jax.mechanisms import VOCABULARY
 
     rows = []
@@ -241,7 +241,9 @@ def _diagnosis(content: dict[str, Any]) -> _Parts:
         value, interval = (amount(size[part], size["unit"], meaning) for part in ("value", "ci90"))
         strength = f"{value} ({interval})" if size["ci90"][0] < size["ci90"][1] else value
         shown = "not measured" if gain is None else nats(gain, finding["heldout_pixels"] or 0)
-        sure = "yes" if finding.get("confirmed") else "no"
+        sure, each = "yes" if finding.get("confirmed") else "no", finding["heldout_gain_nats_per_pixel"]
+        if sure == "no" and each and gain > 0 and None not in each["ci90"]:
+            shown += f" ({between(*(v * finding['heldout_pixels'] for v in each['ci90']))})"
         near = (finding.get("card") or {}).get("nearest")
         name = finding["mechanism"] + (f", nearest to {near}" if near else "")
         rows.append((name.replace("_", " "), strength, shown, sure))

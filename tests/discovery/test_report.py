@@ -328,22 +328,24 @@ def test_digests_are_those_of_the_files_that_a_recording_was_made_from(tmp_path)
     assert digests(dataclasses.replace(first, path=None)) == {"sha256": None}
 
 
-def test_a_pattern_of_the_dark_current_is_told_from_one_of_offsets():
+def said_of_a_map(scales, proof):
     entry = {
         "mechanism": "dsnu",
         "outcome": "FOUND",
         "amplitude": {"value": 2.0, "unit": "DN", "ci90": [1.9, 2.1]},
     }
+    named = SimpleNamespace(signature=SIGNATURES[f"pixel_{scales}_static"])
+    return sentence(entry, SimpleNamespace(named=named, late=False), proof, VOCABULARY["dsnu"])
+
+
+def test_a_pattern_of_the_dark_current_is_told_from_one_of_offsets():
     proof = Proof(None, None, math.nan, math.nan, 0)
+    assert "growing with the exposure" in said_of_a_map("thermal", proof)
+    assert "growing" not in said_of_a_map("additive", proof)
 
-    def said(scales):
-        signature = SIGNATURES[f"pixel_{scales}_static"]
-        return sentence(
-            entry,
-            SimpleNamespace(named=SimpleNamespace(signature=signature), late=False),
-            proof,
-            VOCABULARY["dsnu"],
-        )
 
-    assert "growing with the exposure" in said("thermal")
-    assert "growing" not in said("additive")
+def test_what_frames_that_differ_do_not_confirm_is_told_with_the_interval():
+    proof = Proof(None, 42_500.0, -3000.0, 88_000.0, 10_000, "likelihood")
+    assert said_of_a_map("additive", proof).endswith(
+        "the fit gains 42,500 nats, 90 %: -3,000 to 88,000 nats: not confirmed, these frames differ too much."
+    )

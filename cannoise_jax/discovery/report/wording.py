@@ -51,6 +51,11 @@ def nats(gain: float, pixels: int) -> str:
     return f"{short(gain) if abs(gain) >= 1 else f'{gain:.1g}'} nats"
 
 
+def between(low: float, high: float) -> str:
+    """The interval of a gain in words."""
+    return f"90 %: {short(low)} to {short(high)} nats"
+
+
 def sentence(entry: dict[str, Any], step: Step, proof: Proof, term: Term) -> str:
     """What a camera engineer reads first. term: of the mechanism."""
     name = entry["mechanism"].replace("_", " ")
@@ -119,6 +124,8 @@ def _proven(step: Step, proof: Proof) -> str:
     gains = f"; on {whose} the fit gains {nats(proof.gain, proof.pixels)}"
     if proof.confirmed:
         return f"{gains}."
-    if math.isfinite(proof.low) or proof.gain <= 0:
+    if proof.gain <= 0:
         return f"; not confirmed on {whose}."
+    if math.isfinite(proof.low):
+        return f"{gains}, {between(proof.low, proof.high)}: not confirmed, these frames differ too much."
     return f"{gains}, from too few frames to confirm it."
