@@ -144,7 +144,7 @@ ENTRIES: tuple[Entry, ...] = (
         signatures=lambda recorded: (
             # Levels cut off at black are far to one side, and their means curved, without more.
             looks.codes.piled_up(recorded, name="pile_up", parameter="level_dn",
-                covers=("pile_up", *looks.NOISY, looks.BENT, "black_level", "black_channels", "lags_any",
+                covers=("pile_up", *looks.NOISY, *looks.CURVES, "black_level", "black_channels", "lags_any",
                         "lags_read", "curvature")),
         ),
         estimator=Estimator(codes.black_clipping, exact=True),

@@ -38,6 +38,7 @@ from cannoise_jax.signatures import (
     random_gain,
     reference,
     repeats,
+    response,
     scales,
     shape,
     smear,
@@ -85,6 +86,8 @@ SLOW = (*MAPS, "pixel_relative_static", "scene_static")
 says."""
 BENT = "variance_curve"
 """How the variance grows with the light, which a converter that bends bends as well."""
+CURVES = (BENT, "curvature_of_flats")
+"""Signatures of that growth."""
 BLENDS = ("lags_in_camera_denoising", "lags_in_camera_denoising_8")
 SHARED = "lags_crosstalk"
 

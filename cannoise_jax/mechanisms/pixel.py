@@ -195,7 +195,7 @@ ENTRIES: tuple[Entry, ...] = (
         needs="scenes or flats of several levels, two frames or more each, up to the white level",
         signatures=lambda recorded: (
             looks.curve.ceiling(recorded, name="saturation", parameter="full_well_e",
-                covers=("saturation", looks.BENT, "skewness", "kurtosis", *looks.SCENES)),
+                covers=("saturation", *looks.CURVES, "skewness", "kurtosis", *looks.SCENES)),
         ),
         estimator=Estimator(light.saturation, exact=True),
         examples=Examples("high codes", shown={"full_well_e": 900.0}, strong={"full_well_e": 420.0},
@@ -218,10 +218,13 @@ ENTRIES: tuple[Entry, ...] = (
              "The response bends: the mean signal is not proportional to the light.",
              8, "sensor", "1", "fraction of the signal lost at the white level", listed=5),
         NONLINEARITY,
-        needs="scenes with an independent reference that spans the range",
+        needs="scenes with an independent reference that spans the range, or flats of one lamp at three "
+        "exposures or more",
         signatures=lambda recorded: (
             looks.curvature.curved(recorded, name="curvature", parameter="loss",
-                                   covers=(*looks.SCALES, looks.BENT)),
+                                   covers=(*looks.SCALES, *looks.CURVES)),
+            looks.response.of_flats(recorded, name="curvature_of_flats", parameter="loss",
+                                    covers=(looks.BENT,), lifted_by=(looks.BENT,)),
         ),
         estimator=Estimator(light.nonlinearity, least=3e-3, corrects=small_signal, straight=of_straight),
         examples=Examples("mean", shown={"loss": 0.1}, strong={"loss": 0.2},

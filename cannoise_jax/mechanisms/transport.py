@@ -145,7 +145,7 @@ ENTRIES: tuple[Entry, ...] = (
         signatures=looks.always(
             # The variance that is lost bends the curve, which counts for it where both reject.
             looks.covariance.neighbours("charge", looks.covariance.REPELLED, name="lags_brighter_fatter",
-                parameter="a00", covers=(looks.BENT,), lifted_by=(looks.BENT,)),
+                parameter="a00", covers=looks.CURVES, lifted_by=(looks.BENT,)),
         ),
         examples=Examples("variance", shown={"a00": 0.0001}, strong={"a00": 0.0003}),
     ),

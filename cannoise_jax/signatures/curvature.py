@@ -145,16 +145,17 @@ def curvature_absorb(fields: tuple[Fields, ...], score: Score[float]) -> tuple[F
     return tuple(out)
 
 
+def bent_light(found: Found) -> Addition:
+    """The curvature as a point of the grammar, for what has no mechanism."""
+    loss = found.score.parameters["curvature"][0]
+    point = Point("photons", "mean", "pixel", "frozen", "multiply", signal=1.0)
+    field = np.full((1, *found.size), -np.sign(loss), np.float32)
+    return Addition({amplitude_name(point): abs(loss)}, {"field": jnp.asarray(field)}, point=point)
+
+
 def curved(recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...]) -> Signature:
     """A mean that bends with the light."""
     span = recorded.span
-
-    def place(found: Found) -> Addition:
-        loss = found.score.parameters["curvature"][0]
-        point = Point("photons", "mean", "pixel", "frozen", "multiply", signal=1.0)
-        field = np.full((1, *found.size), -np.sign(loss), np.float32)
-        return Addition({amplitude_name(point): abs(loss)}, {"field": jnp.asarray(field)}, point=point)
-
     return Signature(
         name=name,
         axes=Axes("converter", "signal", "frozen", "signal squared", "curve"),
@@ -165,7 +166,7 @@ def curved(recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, 
         predict=NO_LAW,
         pattern=NO_PATTERN,
         simulate=strength(parameter, signed="curvature"),
-        place=place,
+        place=bent_light,
         detectable=BY_SHIFT,
         least=lambda sets: template(sets, lambda s: s.signal**2 / span),
     )

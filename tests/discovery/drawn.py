@@ -131,7 +131,7 @@ def wide(seed: int) -> Many:
 RECORDED_SIZE, BLACK, WHITE, READ_E = (64, 96), 600.0, 16383.0, 3.0
 PLAN = (
     *(("dark", 0.0, seconds, 100, 8) for seconds in (0.01, 0.1)),
-    *(("flat", level, 0.01, 100, 8) for level in (0.02, 0.1, 0.3, 0.6)),
+    *(("flat", level, level / 2, 100, 8) for level in (0.02, 0.1, 0.3, 0.6)),
     ("scene", 0.0, 0.01, 100, 8),
     *(
         (*shot, iso, 2)

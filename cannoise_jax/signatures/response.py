@@ -1,0 +1,205 @@
+"""A response that bends, as flats without a reference tell it.
+
+Let the mean signal be y = x (1 - a x / S) of the linear signal x (DN, S from black to white), as in
+`curvature`. Then the variance of pixels of one signal is
+
+    v = r^2 + K x (1 - 2 a x / S)^2 = r^2 + K x (1 - 4 a y / S),
+
+so a photon-transfer curve tells a by itself. Charge that repels further charge bends that curve as well, and
+leaves the mean where it is. Under one lamp the mean over the exposure t,
+
+    log(y / t) = const + log(1 - a x / S),
+
+falls with the signal in the first case only. How far single flats lie off that line says how steady lamp and
+shutter are, and with it how well the slope is known: Student's t.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from scipy import optimize, stats
+
+from cannoise_jax.signatures.added import strength
+from cannoise_jax.signatures.curvature import bent_light
+from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.recorded import GroupBaseline, Level, Recorded
+from cannoise_jax.signatures.score import ONE_PARAMETER, Score, normal_log_p
+from cannoise_jax.signatures.signature import (
+    BY_SHIFT,
+    FILES,
+    NO_CLOSED_FORM,
+    NO_LAW,
+    NO_PATTERN,
+    Axes,
+    Signature,
+    unchanged,
+)
+
+_MOST = 0.2
+"""Loss at white, at most: of 1/4 a curve has its top there."""
+_FEWEST = 3
+"""Exposures of flats from which on a line through them can be missed."""
+_SURE = 0.95
+"""Confidence that the means fall, one-sided, before their cause is named. The variance decides whether
+anything bends."""
+_APART = 3.0
+"""Standard errors by which both losses may differ."""
+_STEADY = 1e-3
+"""Share of the light by which lamps and shutters scatter at least: three flats lie on a line by chance."""
+
+
+class OfVariance(NamedTuple):
+    """A loss at white, its standard error, and the nats that it explains."""
+
+    loss: float
+    error: float
+    gain: float
+
+
+class OfMeans(NamedTuple):
+    """A loss at white, its standard error, and the degrees of freedom of that."""
+
+    loss: float
+    error: float
+    freedom: int
+
+
+def linear_signal(signal: np.ndarray, loss: float, span: float) -> np.ndarray:
+    """The signal of a straight response, DN, for the recorded one: x of y = x (1 - a x / S)."""
+    root = np.sqrt(np.maximum(1 - 4 * loss * signal / span, 0.0))
+    return 2 * signal / (1 + root)
+
+
+def by_variance(curves: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], span: float) -> OfVariance:
+    """The loss that photon-transfer curves have in common: signal, variance less the read noise's, and its
+    standard error, each curve with a gain of its own."""
+
+    def chi2(loss: float) -> float:
+        total = 0.0
+        for y, v, e in curves:
+            model = linear_signal(y, loss, span) * (1 - 4 * loss * y / span) / e
+            gain = float(model @ (v / e)) / float(model @ model)
+            total += float(np.sum((v / e - gain * model) ** 2))
+        return total
+
+    best = optimize.minimize_scalar(chi2, bounds=(-_MOST, _MOST), method="bounded", options={"xatol": 1e-6})
+    loss, least = float(best.x), float(best.fun)
+    freedom = sum(len(y) for y, _, _ in curves) - len(curves) - 1
+    step = 1e-3
+    bend = (chi2(loss + step) - 2 * least + chi2(loss - step)) / step**2
+    # What this curve leaves belongs to no loss, and makes it less sure.
+    scale = max(least / max(freedom, 1), 1.0)
+    error = float(np.sqrt(2 * scale / max(bend, 1e-12)))
+    return OfVariance(loss, error, 0.5 * max(chi2(0.0) - least, 0.0) / scale)
+
+
+def by_mean(log_rate: np.ndarray, bend: np.ndarray, group: np.ndarray) -> OfMeans | None:
+    """The loss of flats: log of signal over exposure, log(1 - a x / S) over a of each, and what they share
+    the light and the gain with. None where that cannot be told from the lamp."""
+    own = {g: group == g for g in set(group.tolist())}
+    own = {g: which for g, which in own.items() if np.count_nonzero(which) >= _FEWEST}
+    freedom = sum(map(np.count_nonzero, own.values())) - len(own) - 1
+    if freedom < 1:
+        return None
+    y, x = (np.concatenate([v[w] - v[w].mean() for w in own.values()]) for v in (log_rate, bend))
+    power = float(x @ x)
+    if power <= 0:
+        return None
+    loss = float(x @ y) / power
+    scatter = max(float(np.sqrt(np.sum((y - loss * x) ** 2) / freedom)), _STEADY)
+    return OfMeans(loss, scatter / np.sqrt(power), freedom)
+
+
+def response_score(
+    fields: tuple[Fields, ...], *, baselines: tuple[GroupBaseline, ...], step: float, span: float
+) -> Score | None:
+    """The photon-transfer curve of a response that bends, where the means of flats over their exposures say
+    so as well. None without flats of three exposures."""
+    seconds = {f.number: f.exposure_s for f in fields if f.kind == "flat" and f.clean is None}
+    curves, points = [], []
+    for n, b in enumerate(baselines):
+        for c in range(4):
+            lit = [p for p in b.levels if p.channel == c and seconds.get(p.recording)]
+            own = [p for p in lit if p.sure and not p.full and p.signal > 4 * step]
+            if len({p.recording for p in own}) < _FEWEST:
+                continue
+            y, v, e = (np.array([getattr(p, k) for p in own]) for k in ("signal", "variance", "error"))
+            curves.append((y, v - b.read_noise[c] ** 2 - step**2 / 12, e))
+            points += [(n, r, s) for r, s in _means(own)]
+    exposures = {seconds[r] for _, r, _ in points}
+    if len(exposures) < _FEWEST:
+        return None
+    bent = by_variance(curves, span)
+    light = _rates(points, seconds, bent.loss, span)
+    straight = by_mean(*light)
+    if straight is None:
+        return None
+    alike = abs(straight.loss - bent.loss) < _APART * np.hypot(straight.error, bent.error)
+    t = straight.loss * np.sign(bent.loss) / straight.error
+    gain = bent.gain if alike and t > stats.t.ppf(_SURE, straight.freedom) else 0.0
+    loss, error = bent.loss, bent.error
+    if gain:
+        weights = np.array([bent.error, straight.error]) ** -2.0
+        loss, error = np.average((bent.loss, straight.loss), weights=weights), weights.sum() ** -0.5
+    high = max(s for _, _, s in points) / span
+    return Score(
+        log_p=normal_log_p(np.sqrt(2 * gain)),
+        gain=gain,
+        penalty=ONE_PARAMETER,
+        amplitude=float(abs(loss)),
+        error=float(error),
+        shift=bent.error,
+        power=1,
+        parameters={"curvature": (float(loss), "1", float(error))},
+        where={"axis": "signal", "range": [0.0, float(high)]},
+        payload=span,
+    )
+
+
+def _means(levels: Sequence[Level]) -> list[tuple[int, float]]:
+    """The mean signal of each recording of one channel, over its parts."""
+    numbers = sorted({p.recording for p in levels})
+    own = [[p for p in levels if p.recording == r] for r in numbers]
+    return [
+        (r, float(np.average([p.signal for p in part], weights=[p.pixels for p in part])))
+        for r, part in zip(numbers, own, strict=True)
+    ]
+
+
+def _rates(
+    points: Sequence[tuple[int, int, float]], seconds: dict[int, float | None], loss: float, span: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """For every flat, its channels averaged, for they share its lamp: the arguments of `by_mean`."""
+    flats = sorted({(n, r) for n, r, _ in points})
+    rate, bend = [], []
+    for flat in flats:
+        signal = np.array([s for n, r, s in points if (n, r) == flat])
+        rate.append(float(np.mean(np.log(signal / float(seconds[flat[1]] or 1.0)))))
+        x = linear_signal(signal, loss, span) / span
+        bend.append(float(np.mean(np.log1p(-loss * x) / loss if abs(loss) > 1e-9 else -x)))
+    return np.array(rate), np.array(bend), np.array([n for n, _ in flats])
+
+
+def of_flats(
+    recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]
+) -> Signature:
+    """A response that bends, in flats without a reference."""
+    return Signature(
+        name=name,
+        axes=Axes("converter", "signal", "frozen", "signal squared", "curve"),
+        reads=FILES,
+        score=partial(response_score, baselines=recorded.baselines, step=recorded.step, span=recorded.span),
+        absorb=unchanged,
+        covers=covers,
+        lifted_by=lifted_by,
+        predict=NO_LAW,
+        pattern=NO_PATTERN,
+        simulate=strength(parameter, signed="curvature"),
+        place=bent_light,
+        detectable=BY_SHIFT,
+        least=NO_CLOSED_FORM,
+    )

@@ -1,0 +1,107 @@
+"""A response that bends, told by flats: the loss with its error, and what is no such loss."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from cannoise_jax.signatures.recorded import Level
+from cannoise_jax.signatures.response import by_mean, by_variance, linear_signal, of_flats
+from tests.discovery.looks import RECORDED, white
+
+SPAN, GAIN, READ = 4000.0, 0.5, 3.0
+LIGHT = np.array([0.1, 0.2, 0.4, 0.6, 0.8]) * SPAN
+PIXELS, FRAMES = 40_000, 8
+
+
+def recorded(rng, loss=0.0, lost=0.0, lamp=0.0, light=LIGHT, channels=range(4)):
+    """Levels of flats under a lamp that scatters by so much between them. loss: of the signal at white;
+    lost: of the variance there, without one of the signal."""
+    steady = 1 + lamp * rng.standard_normal(len(light))
+    levels = []
+    for n, x in enumerate(light * steady):
+        for c in channels:
+            at = (1.0, 0.6, 0.6, 0.7)[c] * x
+            variance = READ**2 + 1 / 12 + GAIN * at * (1 - 2 * loss * at / SPAN) ** 2 * (1 - lost * at / SPAN)
+            error = variance * np.sqrt(2 / (PIXELS * (FRAMES - 1)))
+            signal = at * (1 - loss * at / SPAN)
+            levels.append(Level(n, c, signal, variance + error * rng.standard_normal(), error, PIXELS))
+    base = dataclasses.replace(RECORDED.baselines[0], read_noise=np.full(4, READ), levels=tuple(levels))
+    return RECORDED._replace(baselines=(base,), span=SPAN)
+
+
+def score_of(said, exposures=LIGHT):
+    fields = white(np.random.default_rng(0), kinds=("flat",) * len(exposures), size=(32, 32))
+    fields = tuple(
+        f._replace(exposure_s=t / SPAN, clean=None) for f, t in zip(fields, exposures, strict=True)
+    )
+    return of_flats(said, name="x", parameter="loss", covers=(), lifted_by=()).score(fields)
+
+
+@pytest.mark.parametrize("loss", [-0.1, -0.02, 0.02, 0.1])
+def test_the_linear_signal_is_the_inverse_of_the_response(loss):
+    x = np.linspace(0, SPAN, 9)
+    assert np.allclose(linear_signal(x * (1 - loss * x / SPAN), loss, SPAN), x)
+
+
+def test_the_loss_of_a_photon_transfer_curve_is_told_with_its_error():
+    rng = np.random.default_rng(1)
+    off = []
+    for _ in range(200):
+        (base,) = recorded(rng, loss=0.04).baselines
+        curves = [
+            (
+                np.array([p.signal for p in base.levels if p.channel == c]),
+                np.array([p.variance for p in base.levels if p.channel == c]) - READ**2 - 1 / 12,
+                np.array([p.error for p in base.levels if p.channel == c]),
+            )
+            for c in range(4)
+        ]
+        told = by_variance(curves, SPAN)
+        off.append((told.loss - 0.04) / told.error)
+    assert abs(np.mean(off)) < 0.25 and 0.8 < np.std(off) < 1.1
+
+
+def test_the_loss_of_means_follows_students_law_whatever_the_lamp():
+    rng = np.random.default_rng(2)
+    t, group = [], np.array([0, 0, 0, 0, 1, 1, 1, 1, 1, 2, 2])  # too few of the last for a line
+    for _ in range(2000):
+        bend = -rng.uniform(0.1, 0.8, 11)
+        told = by_mean(3.0 * group + 0.05 * bend + 0.01 * rng.standard_normal(11), bend, group)
+        assert told is not None and told.freedom == 9 - 2 - 1
+        t.append((told.loss - 0.05) / told.error)
+    assert stats.kstest(t, "t", args=(6,)).pvalue > 1e-3
+
+
+def test_a_response_that_bends_is_found_and_measured():
+    rng = np.random.default_rng(3)
+    for loss in (0.05, -0.04):
+        score = score_of(recorded(rng, loss=loss, lamp=1e-3))
+        told, _, error = score.parameters["curvature"]
+        assert score.gain > 50 and abs(told - loss) < 4 * error < 0.02
+
+
+def test_a_lamp_or_a_variance_that_bends_by_itself_is_none():
+    """The steadiness of the lamp is as often above as below that of means which would follow the loss."""
+    rng = np.random.default_rng(4)
+    named = [
+        score_of(recorded(rng, lost=0.15, lamp=lamp)).gain > 0 for lamp in (1e-3, 0.01) for _ in range(60)
+    ]
+    assert np.mean(named) < 0.1
+    straight = [score_of(recorded(rng, lamp=lamp)).log_p for lamp in (1e-3, 0.01) for _ in range(60)]
+    assert min(straight) > np.log(1e-3)
+    # Flats that get too bright too soon, as of a lamp that warms up: the variance knows of nothing.
+    assert score_of(recorded(rng, light=LIGHT * (1 - 0.1 * LIGHT / SPAN))).gain < 4
+
+
+def test_few_exposures_tell_nothing():
+    rng = np.random.default_rng(5)
+    assert score_of(recorded(rng, loss=0.05, light=LIGHT[:2]), LIGHT[:2]) is None
+    assert score_of(recorded(rng, loss=0.05), np.full(5, SPAN)) is None
+    # Three under a lamp that is not steady are one freedom.
+    few = [0, 2, 4]
+    gains = [
+        score_of(recorded(rng, loss=0.01, lamp=0.02, light=LIGHT[few]), LIGHT[few]).gain for _ in range(40)
+    ]
+    assert np.mean(np.array(gains) > 0) < 0.3
