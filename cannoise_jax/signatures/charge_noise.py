@@ -12,14 +12,18 @@ _FAR = 6.0
 """Standard deviations from which on what a pixel collects is its own, whatever the others collect."""
 
 
+_LOWEST = 0.001
+"""Share of the pixels whose charge lies below what is taken as none: single ones are chance."""
+
+
 def louder(field: Fields, variance: np.ndarray) -> Fields:
     """The field where some noise is known to grow over the frame, DN^2, the rest of it fitted to what the
     frames show: its charge arrives one by one."""
     if not len(field.contrasts):
         return field
-    rest = _rest(field, variance)
+    rest, of_charge = _rest(field, variance)
     after = rest + variance
-    shot = ((field.shot * rest + variance) / after).astype(np.float32)
+    shot = ((of_charge + variance) / after).astype(np.float32)
     return of_noise(field, _growth(field, after), shot)
 
 
@@ -32,13 +36,27 @@ def of_noise(field: Fields, root: Float[np.ndarray, "h w"], shot: Float[np.ndarr
     return field if static is None else _level_out(field, static)
 
 
-def _rest(field: Fields, variance: np.ndarray) -> Float[np.ndarray, "h w"]:
-    """What of the noise does not grow, as the frames show it, DN^2."""
+def _rest(field: Fields, variance: np.ndarray) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+    """What of the noise does not grow, as the frames show it, and what of that is shot noise, DN^2: what is
+    known to be uneven as it is, such as that of a glow, and as much of the rest as there is beside it."""
     before = field.sigma.astype(np.float64) ** 2
+    of_charge = field.shot * before
+    uneven = _beyond_least(field, of_charge)
+    even = before - uneven
     each = np.minimum(field.contrasts**2 * before, 25 * (before + variance))
     # Where little of it is known, the rest is told best.
     share = field.usable / (before + variance) ** 2
-    return before * max(float(np.sum(share * (each.mean(0) - variance)) / np.sum(share * before)), 0.05)
+    told = np.sum(share * (each.mean(0) - variance - uneven)) / np.sum(share * even)
+    left = max(float(told), 0.05)
+    return uneven + even * left, uneven + (of_charge - uneven) * left
+
+
+def _beyond_least(field: Fields, of_charge: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """The shot noise of a dark beyond that of its quietest pixels, DN^2; none of a lit one, whose light is
+    all of it."""
+    if field.lit or not field.usable.any():
+        return np.zeros_like(of_charge)
+    return np.maximum(of_charge - np.quantile(of_charge[field.usable], _LOWEST), 0.0)
 
 
 def _growth(field: Fields, variance: np.ndarray) -> Float[np.ndarray, "h w"]:
@@ -60,10 +78,6 @@ def _level_out(field: Fields, static: np.ndarray) -> Fields:
     return field._replace(static=static - weight * level[channel], mean=mean)
 
 
-_LOWEST = 0.001
-"""Share of the pixels whose charge lies below what is taken as none: single ones are chance."""
-
-
 def steadied(
     fields: tuple[Fields, ...], rate: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"]
 ) -> tuple[Fields, ...]:
@@ -80,7 +94,7 @@ def steadied(
         if f.lit or not f.exposure_s or not np.all(f.gain > 0) or not len(f.contrasts):
             return f
         variance = f.gain[channel_index(rate.shape)] * charge * f.exposure_s
-        growth = _growth(f, _rest(f, variance) + variance)
+        growth = _growth(f, _rest(f, variance)[0] + variance)
         return f._replace(contrasts=f.contrasts / growth, louder=f.louder * growth)
 
     return tuple(own(f) for f in fields)

@@ -9,8 +9,9 @@ from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.frames.battery import prepare
 from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.recordings.recording import CaptureSet, Recording
-from cannoise_jax.signatures.charge_noise import by_charge, own_charge
+from cannoise_jax.signatures.charge_noise import by_charge, own_charge, steadied
 from cannoise_jax.signatures.pixels import spread_score
+from tests.discovery.looks import white
 
 SIZE = (96, 128)
 GAIN, READ, BLACK = 4.0, 2.0, 400.0
@@ -92,3 +93,26 @@ def test_pixels_that_jump_are_told_beside_hot_ones_and_an_uneven_dark_current():
     assert {"hot_pixels", "rts", "dsnu"} <= set(names)
     assert "pixel_read_noise_map" not in names
     assert names["rts"].parameters["fraction"][0] == pytest.approx(0.012, abs=0.006)
+
+
+def test_the_noise_of_a_glow_stays_known_where_pixels_have_charge_of_their_own():
+    """Mean square of the contrasts in the light of a glow and off it, in units of the noise."""
+    rng = _RNG(9)
+    down, across = np.mgrid[: SIZE[0], : SIZE[1]]
+    glow = 400.0 * np.exp(-np.hypot(down, across) / 20)
+    rate, seconds, read = uneven(9), 60.0, 16.0
+    own = GAIN * rate * seconds
+    (field,) = white(rng, kinds=("dark",), frames=12, size=SIZE)
+    known = read + own.mean() + glow
+    values = rng.standard_normal((11, *SIZE)) * np.sqrt((read + own + glow) / known)
+    field = field._replace(
+        sigma=np.sqrt(known).astype(np.float32),
+        shot=(glow / known).astype(np.float32),
+        gain=np.full(4, GAIN),
+        exposure_s=seconds,
+        contrasts=values.astype(np.float32),
+    )
+    (after,) = steadied((field,), rate, np.ones(SIZE, bool))
+    power, near = np.mean(after.contrasts**2, 0), glow > 100
+    assert power[near].mean() == pytest.approx(1.0, abs=0.05)
+    assert power[~near].mean() == pytest.approx(1.0, abs=0.05)
