@@ -64,7 +64,10 @@ def heat_again(
     doubt = float(np.sum(np.maximum(known.power(4) - known.power(2) ** 2, 0.0))) / square**2
     unit = looked.amplitude / (looked.payload.mean * np.sqrt(2 * max(looked.payload.share, 1e-12)))
     amplitude = unit * float(np.sqrt(square / known.mean.size))
-    error = amplitude * float(np.sqrt(1 / information + again**2 * doubt / 4))
+    # Charge of their own makes hot pixels noisier than those that the information is of.
+    left = known.mean * (sums.score - again * known.mean * sums.information)
+    variance = max(information, float(np.sum(left**2))) / information**2
+    error = amplitude * float(np.sqrt(variance + again**2 * doubt / 4))
     return looked.replace(amplitude=amplitude * again, error=error)
 
 

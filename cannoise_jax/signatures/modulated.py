@@ -164,7 +164,8 @@ def modulated_score(fields: Many, *, scaling: Scales) -> Score[Pattern] | None:
     score = _scored(told, scaling, unit)
     against = [other @ way for other, way in zip(halves[::-1], ways, strict=True)]
     log_p = sidak(min(chi2_log_sf(float(z @ z), len(z)) for z in against), 2)
-    one = _share(halves, against) > _MOST
+    # What only one half has, so that both together have no strength, is no pattern of all.
+    one = score.amplitude > 0 and _share(halves, against) > _MOST
     field, cosines = _unit(common.back @ _direction(common.values), size)
     return score.replace(
         log_p=log_p if one else 0.0,

@@ -106,6 +106,21 @@ def test_strength_on_new_frames_covers_the_truth(share, mean, cameras):
     assert low <= np.sum(np.abs(errors) < 1.645) <= high
 
 
+def test_strength_covers_the_truth_where_hot_pixels_have_shot_noise_of_their_own():
+    """Heat of up to a hundred standard deviations, whose own noise is then ten times that of other pixels."""
+    rng = np.random.default_rng(21)
+    errors = []
+    for _ in range(40):
+        heat = (rng.random(SIZE) < 1e-3) * rng.exponential(30.0, SIZE)
+        own = [dark(np.sqrt(n) * heat + np.sqrt(1 + heat) * rng.standard_normal(SIZE), n) for n in (6, 2)]
+        looked = hot_score((own[0],), scaling="additive")
+        again = heat_again(looked, *((f,) for f in own))
+        errors.append((again.amplitude - float(np.sqrt(np.mean(heat**2)))) / again.error)
+    assert abs(np.mean(errors)) < 4 / np.sqrt(40)
+    low, high = stats.binom.ppf([1e-3, 0.999], len(errors), 0.91)
+    assert low <= np.sum(np.abs(errors) < 1.645) <= high
+
+
 def test_where_nothing_is_known_nothing_is_said():
     rng = np.random.default_rng(3)
     _, first, _ = split(rng, 0.0, 1.0)

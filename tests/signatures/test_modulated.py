@@ -74,6 +74,7 @@ def test_p_values_of_noise_alone_are_not_too_small():
     p = np.exp([s.log_p for s in nothing])
     for level in (0.5, 0.1, 0.02):
         assert np.mean(p < level) < level + 3 * np.sqrt(level * (1 - level) / p.size)
+    assert all(s.log_p == 0 for s in nothing if s.amplitude == 0)
 
 
 def test_pattern_and_strength_are_recovered_and_hold_on_other_frames():
