@@ -127,4 +127,5 @@ def skewed(
         simulate=carried(lambda s: {"excess": s.amplitude}),
         covers=covers,
         lifted_by=lifted_by,
+        of_gain=True,
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import jax
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ import pytest
 from cannoise_jax.discovery.compare import better, compare, document, run
 from cannoise_jax.discovery.compare.families import FAMILIES, STATIC, TAILS, of
 from cannoise_jax.discovery.compare.light import light_of
-from cannoise_jax.discovery.compare.measure import unsteady
+from cannoise_jax.discovery.compare.measure import _scatter, unsteady
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
 from tests.discovery.capture import capture_set
 
@@ -240,3 +242,22 @@ def test_bad_input_is_refused_in_one_line(plain):
     other = Recording(frames, "RGGB", (64.0,) * 4, 1023.0, kind="dark", exposure_s=77.0)
     with pytest.raises(BadInput, match="no recording of the kind"):
         compare(plain, CaptureSet("x", (other,)), KEY)
+
+
+def test_the_square_of_a_map_scatters_as_its_closed_form_says():
+    """A glow of twelve standard deviations, and shot noise of its own, in two frames."""
+    rng, size = np.random.default_rng(8), (64, 96)
+    down, across = np.mgrid[: size[0], : size[1]]
+    glow = 12 * np.exp(-np.hypot(down, across) / 20)
+    noise, one = np.sqrt(1 + 0.4 * glow), np.ones(size, bool)
+    squares, told = [], []
+    for _ in range(200):
+        static = glow + noise * rng.standard_normal(size)
+        contrast = noise * rng.standard_normal((1, *size))
+        seen = SimpleNamespace(z=contrast, kept=one, static_kept=one)
+        squares.append(np.mean(static**2))
+        told.append(_scatter(static, seen))
+    assert np.mean(told) == pytest.approx(np.var(squares) / (2 / static.size), rel=0.25)
+    assert np.std(told) < 0.1 * np.mean(told)
+    white = SimpleNamespace(z=rng.standard_normal((1, *size)), kept=one, static_kept=one)
+    assert _scatter(rng.standard_normal(size), white) == pytest.approx(1.0, abs=0.15)

@@ -230,6 +230,19 @@ def test_what_the_frames_held_back_exclude_is_no_finding(name, again, gain, gone
     assert not refuted(step._replace(late=True), proof)
 
 
+@pytest.mark.parametrize(("low", "gone"), [(-1.0, True), (1.0, False)])
+def test_what_the_gain_is_lowered_by_has_to_be_confirmed(low, gone):
+    """A random gain of some 0.9 halves the gain of a camera, and no draw tells both apart."""
+    found = Score(
+        log_p=-6.0, gain=5.0, penalty=3.0, amplitude=0.9, error=0.3, shift=0.3, power=1,
+        parameters={}, where={"axis": "signal"},
+    )  # fmt: skip
+    signature = SIGNATURES["excess_skewness"]
+    step = Step(Named(found, signature, UNKNOWN, ((UNKNOWN, 1.0),), False), (), -6.0)
+    proof = Proof(found, 2.2, low, 6.0, 9)
+    assert refuted(step, proof) == gone and refuted(step._replace(late=True), proof) == gone
+
+
 @pytest.mark.parametrize("columns", [0.0, 1.0])
 def test_an_offset_of_frames_keeps_its_strength_beside_noise_of_lines(columns):
     """Of a row all noise is taken out together, what its frame has included."""

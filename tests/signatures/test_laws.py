@@ -41,6 +41,16 @@ def test_means_are_standard_normal_where_the_closed_form_is_off(units):
     assert abs(z.mean()) < 0.06 and 0.85 < z.std() < 1.1
 
 
+def test_means_of_parts_that_scatter_each_in_their_own_way_are_standard_normal():
+    """Few units: what the family shows is most of what is known."""
+    rng = np.random.default_rng(5)
+    own = np.repeat([4.0, 1.0, 0.6], 1000)
+    real, drawn = (own * rng.standard_normal((*n, 3000)) for n in ((1,), (2, 1)))
+    z = laws.compare_means(real, drawn, np.ones(3000), parts=3).z.reshape(3, -1)
+    assert np.all(np.abs(z.mean(1)) < 0.12) and np.all((z.std(1) > 0.8) & (z.std(1) < 1.15))
+    assert laws.compare_means(real, drawn, np.ones(3000)).z[:1000].std() > 2
+
+
 def test_counts_are_careful_where_there_are_few_and_sure_where_there_are_many():
     real = np.array([[0.0, 3.0, 40.0, 400.0]])
     drawn = np.array([[[0.0, 1.0, 2.0, 900.0]]] * 3)

@@ -72,10 +72,11 @@ def judged(
     simulated: list[Statistics],
     moving: list[Statistics] | None = None,
     counts: Float[np.ndarray, "k"] | float = 1.0,
+    parts: int = 1,
 ) -> laws.Judged:
     """One family by its law. moving: that of what is redrawn, whose mean is in a static map and scatters as
     it does, which is seen in many contrasts but in one map a set. counts: how much more than independent ones
-    counts scatter at least."""
+    counts scatter at least. parts: see `laws.compare_means`."""
     real, drawn = recorded.values, np.stack([s.values for s in simulated])
     if recorded.law == "energy":
         free = recorded.size > 0
@@ -88,7 +89,7 @@ def judged(
     if recorded.law == "count":
         share = len(real) / (len(real) + drawn.shape[0] * drawn.shape[1])
         return laws.compare_counts(real, drawn, share, counts)
-    return laws.compare_means(real, drawn, recorded.size)
+    return laws.compare_means(real, drawn, recorded.size, parts)
 
 
 _SEEN = 5.0
@@ -144,10 +145,11 @@ def _in_noise(
         recorded = recorded._replace(size=np.mean([recorded.size, *(s.size for s in drawn)], 0))
     own = wider.get(family.name)
     if own is None:
-        return judged(recorded, drawn, moving)
+        return judged(recorded, drawn, moving, parts=len(family.falls))
     if family.name != MOMENTS:
         return judged(recorded, drawn, moving, own)
-    out = judged(recorded._replace(size=recorded.size * own), drawn, moving)
+    wide = recorded._replace(size=recorded.size * own)
+    out = judged(wide, drawn, moving, parts=len(family.falls))
     return out._replace(z=unskewed(out.z, own, 2.0 / float(recorded.size[0])))
 
 

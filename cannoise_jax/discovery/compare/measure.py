@@ -37,6 +37,7 @@ from cannoise_jax.discovery.compare.families import (
 )
 from cannoise_jax.discovery.compare.moves import lines_after, noise_of_lines
 from cannoise_jax.discovery.compare.view import RESIDUES, View
+from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.signatures import bank
 from cannoise_jax.signatures.fields import helmert
 
@@ -121,10 +122,14 @@ def measure(
         grain = step / np.sqrt(float(np.mean(variance)) * len(seen.single))
         # Means that hardly a frame moves off a code have no law that a map could be told by.
         still = float(np.mean(variance)) * len(seen.single) < _STILL * step**2
-        (row,) = _units(seen.static[None], kept, share, coarse, grain)
+        # Of a map with a level the square moves with that of every frame, which `LEVEL` tells.
+        levelled = _about_sites(seen.static, seen.static_kept)
+        (row,) = _units(levelled[None], kept, share, coarse, grain)
         for name, law, width in () if still else _unit_families(seen.kept.shape, size * share):
             if name == STRUCTURE:
                 width = width * ~absorbed(seen.kept.shape, degree).ravel()
+            if name == MOMENTS:
+                width = np.where(width == width[0], width * _scatter(levelled, seen), width)
             families[of(STATIC, name)] = Statistics(law, row[name][None], width, len(seen.single))
         if degree == 0:  # else it is what the surface took out
             first = bank.maps(seen.static, seen.static_kept)[None, 1:-3]
@@ -134,6 +139,28 @@ def measure(
         counts = [(values < t).sum() if t < 0 else (values > t).sum() for t in STANDING_SIGMAS]
         families[STANDING_OUT] = _count(np.array([counts]))
     return Measured(families, power, n, seen.static, coarse, seen.kept.shape[1])
+
+
+def _about_sites(static: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    """A static map less the mean of each site of the mosaic."""
+    out = static.copy()
+    for at in SITES:
+        if kept[at].any():
+            out[at] = np.where(kept[at], static[at] - static[at].mean(where=kept[at], dtype=float), 0.0)
+    return out
+
+
+def _scatter(static: np.ndarray, seen: View) -> float:
+    """How much more than of white noise alone the squares of a static map scatter from one to the next: by
+    2 s^2 + 4 m^2 s of each pixel, with s the variance of its noise, which its n contrasts tell, and m what is
+    fixed. Of the map's own z the mean square is m^2 + s, of the contrasts' that of s is s^2 (1 + 2/n)."""
+    n = len(seen.z)
+    if not n:
+        return 1.0
+    both = seen.static_kept & seen.kept
+    s = np.mean(seen.z**2, 0, dtype=float)[both]
+    variance = 4 * np.mean(static[both].astype(float) ** 2 * s) - 2 * np.mean(s**2) * n / (n + 2)
+    return max(float(variance) / 2, 1.0)
 
 
 def unsteady(steadiness: Float[np.ndarray, "p"], n: int, grain: float) -> Statistics:

@@ -93,8 +93,11 @@ def refuted(step: Step, proof: Proof) -> bool:
     one without a name that they gain nothing is enough: nothing but its strength speaks for it, and a law
     that is a little off, as that of noise along the raster, leaves as much. A map that is drawn once has to
     be the same in both: of one that the frames held back have at no strength nothing would be handed back but
-    its name."""
+    its name. What would take from the gain what it is has to be confirmed: no draw shows which of both it
+    is."""
     found, again = step.named.score, proof.score
+    if step.named.signature.of_gain and not proof.confirmed:
+        return True
     if step.late or again is None or proof.confirmed or proof.gain is None:
         return False
     if step.named.signature.drawn_once and again.amplitude == 0:
