@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -47,8 +47,15 @@ from cannoise_jax.discovery.proof.judged import (
     without_own,
 )
 from cannoise_jax.discovery.proof.lowered import at_shares, shares
-from cannoise_jax.discovery.proof.prove import prove, standing, unconfirmed, unproven
-from cannoise_jax.discovery.proof.quality import composite_proofs, open_panel, quality_of
+from cannoise_jax.discovery.proof.prove import (
+    Proofs,
+    prove,
+    standing,
+    unconfirmed,
+    unproven,
+    without_doubted_gain,
+)
+from cannoise_jax.discovery.proof.quality import Panel, composite_proofs, open_panel, quality_of
 from cannoise_jax.discovery.proof.sides import Sides
 from cannoise_jax.discovery.report.save import save
 from cannoise_jax.discovery.result import Result
@@ -81,6 +88,16 @@ class Diagnosis(Result):
         Raises BadInput where one exists (without force) or cannot be written.
         """
         return save(self, folder, force=force)
+
+
+class Entered(NamedTuple):
+    """Both sides with some findings, what judges draws of them (None: nothing can), what of the findings
+    enters, and what speaks against the name of each."""
+
+    sides: Sides
+    panel: Panel | None
+    gated: Gated | None
+    against: tuple[Doubt | None, ...]
 
 
 def diagnose(
@@ -158,33 +175,43 @@ def diagnose(
         tell("prove: on the frames held back")
         fitted, proven = standing(fitted, prove(fitted, splits, tell), tell)
     fitted, proven = in_full(fitted, proven, own, raw.looking)
-    sides = judged.sides(first, fitted.steps, kept, less=bool(too_much))
-    gated = remains = quality = panel = None
-    against: tuple[Doubt | None, ...] = (None,) * len(fitted.steps)
-    model = sides.exported
     light = shades(first.stacks) if compare else {}
-    if compare and splits.can_prove:
-        panel = open_panel(*judged_by(raw, fitted, sides, key))
-    if panel is not None:
+
+    def entered(fitted: Fitted, proven: Proofs) -> Entered:
+        sides = judged.sides(first, fitted.steps, kept, less=bool(too_much))
+        none: tuple[Doubt | None, ...] = (None,) * len(fitted.steps)
+        proves = compare and splits.can_prove
+        panel = open_panel(*judged_by(raw, fitted, sides, key)) if proves else None
+        if panel is None:
+            return Entered(sides, None, None, none)
         tell("gate: draws of the simulator before and after")
         gated = gate(panel, sides, fitted.steps, proven, tell)
-        if sides.model is not None:
-            chance, own_key = alpha * SHARED.layer, jax.random.fold_in(key, 5)
-            shown = [p.confirmed for p in unconfirmed(proven, fitted.steps).each]
-            against = doubts(
-                judged.capture, splits.frames, fitted.steps, sides.of, own_key, chance, shown, tell,
-                light,
-            )  # fmt: skip
+        if sides.model is None:
+            return Entered(sides, panel, gated, none)
+        chance, own_key = alpha * SHARED.layer, jax.random.fold_in(key, 5)
+        shown = [p.confirmed for p in unconfirmed(proven, fitted.steps).each]
+        against = doubts(
+            judged.capture, splits.frames, fitted.steps, sides.of, own_key, chance, shown, tell, light
+        )
+        return Entered(sides, panel, gated, against)
+
+    sides, panel, gated, against = entered(fitted, proven)
+    if less := without_doubted_gain(fitted, proven, against):
+        fitted, proven = less
+        sides, panel, gated, against = entered(fitted, proven)
+    remains = quality = None
+    model = sides.exported
+    if panel is not None and gated is not None:
         tell("remainder: what is left, measured as it is")
         rest = partial(with_remainder, judged.capture, key=jax.random.fold_in(key, 3), tell=tell)
         well, sure = described(fitted.steps, against), sure_of(fitted.steps, against)
         gated = remaining(gated, panel, sides, well, sure, rest, tell)
     if compare:
         tell("check: what still differs")
-        less = partial(lesser, panel=panel, sides=sides, against=against, steps=fitted.steps)
+        fewer = partial(lesser, panel=panel, sides=sides, against=against, steps=fitted.steps)
         own_key = jax.random.fold_in(key, 4)
         gated, remains, model = checked(
-            judged, sides, gated, less, splits.frames, light, alpha, own_key, tell
+            judged, sides, gated, fewer, splits.frames, light, alpha, own_key, tell
         )
     if panel is not None and gated is not None:
         quality = quality_of(panel, gated.before, gated.after)

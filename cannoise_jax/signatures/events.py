@@ -14,6 +14,7 @@ other frames of that pixel are quiet is no Gaussian noise. What else does that i
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 from typing import NamedTuple
 
@@ -291,8 +292,18 @@ def hits(*, name: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]) -> S
     )
 
 
-def clocking(*, name: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]) -> Signature:
-    """Charge that single frames have and no other, as much of it in short exposures."""
+_SINGLE_E = 10.0
+"""Electrons above which a spike is of no single one: an electron multiplier makes e^-10 of them as large."""
+
+
+def clocking(*, name: str, mechanism: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]) -> Signature:
+    """Charge that single frames have and no other, as much of it in short exposures. It comes electron by
+    electron: what is far larger, or stands out where single electrons do not, has no name."""
+
+    def readings(score: Score, scores: Mapping[str, Score]) -> tuple[tuple[str | None, float], ...]:
+        single = np.isfinite(score.shift) and score.parameters["charge_e"][0] < _SINGLE_E
+        return ((mechanism if single else None, score.evidence),)
+
     return plain(
         name=name,
         axes=Axes("pixel", "pixel", "redrawn", "additive", "sparse"),
@@ -303,4 +314,5 @@ def clocking(*, name: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]) 
         covers=covers,
         lifted_by=lifted_by,
         rare=True,
+        readings=readings,
     )

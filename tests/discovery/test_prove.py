@@ -13,10 +13,17 @@ from cannoise_jax.discovery.frames.blocks import frame_blocks, leave_out
 from cannoise_jax.discovery.frames.splits import prepare_split, split_frames, split_recordings
 from cannoise_jax.discovery.proof.gains import frame_interval, held_out_gain
 from cannoise_jax.discovery.proof.heldout import Predicted, Scored, score_frames
-from cannoise_jax.discovery.proof.prove import Proof, Proofs, others_out, refuted, standing
+from cannoise_jax.discovery.proof.prove import (
+    Proof,
+    Proofs,
+    others_out,
+    refuted,
+    standing,
+    without_doubted_gain,
+)
 from cannoise_jax.discovery.search.fit import Fitted, Step
 from cannoise_jax.discovery.search.locate import Located
-from cannoise_jax.discovery.search.name import UNKNOWN, Named
+from cannoise_jax.discovery.search.name import UNKNOWN, Doubt, Named
 from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.signatures.fields import frame_fields
 from cannoise_jax.signatures.score import Score
@@ -230,17 +237,34 @@ def test_what_the_frames_held_back_exclude_is_no_finding(name, again, gain, gone
     assert not refuted(step._replace(late=True), proof)
 
 
-@pytest.mark.parametrize(("low", "gone"), [(-1.0, True), (1.0, False)])
-def test_what_the_gain_is_lowered_by_has_to_be_confirmed(low, gone):
+@pytest.mark.parametrize(
+    ("name", "low", "gone"),
+    [("excess_noise", -1.0, True), ("excess_noise", 1.0, False), (UNKNOWN, 1.0, True)],
+)
+def test_what_the_gain_is_lowered_by_has_to_be_confirmed(name, low, gone):
     """A random gain of some 0.9 halves the gain of a camera, and no draw tells both apart."""
     found = Score(
         log_p=-6.0, gain=5.0, penalty=3.0, amplitude=0.9, error=0.3, shift=0.3, power=1,
         parameters={}, where={"axis": "signal"},
     )  # fmt: skip
     signature = SIGNATURES["excess_skewness"]
-    step = Step(Named(found, signature, UNKNOWN, ((UNKNOWN, 1.0),), False), (), -6.0)
+    step = Step(Named(found, signature, name, ((name, 1.0),), False), (), -6.0)
     proof = Proof(found, 2.2, low, 6.0, 9)
     assert refuted(step, proof) == gone and refuted(step._replace(late=True), proof) == gone
+
+
+def test_a_random_gain_that_loses_its_name_goes_and_all_else_stays():
+    found = Score(
+        log_p=-6.0, gain=5.0, penalty=3.0, amplitude=0.9, error=0.3, shift=0.3, power=1,
+        parameters={}, where={"axis": "signal"},
+    )  # fmt: skip
+    names = ("excess_skewness", "row_additive_temporal")
+    steps = tuple(Step(Named(found, SIGNATURES[n], "x", (("x", 1.0),), False), (), -6.0) for n in names)
+    proofs = Proofs((Proof(found, 2.2, 1.0, 6.0, 9),) * 2, None, None)
+    fitted, doubt = Fitted(steps, (), Located({}, {}, 1.0), Located({}, {}, 1.0)), Doubt(1.0, ("it",))
+    assert without_doubted_gain(fitted, proofs, (None, doubt)) is None
+    left, told = without_doubted_gain(fitted, proofs, (doubt, doubt))
+    assert left.steps == steps[1:] and len(told.each) == 1
 
 
 @pytest.mark.parametrize("columns", [0.0, 1.0])

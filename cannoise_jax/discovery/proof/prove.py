@@ -12,8 +12,9 @@ and new frames.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
@@ -30,7 +31,7 @@ from cannoise_jax.discovery.proof.gains import (
 from cannoise_jax.discovery.proof.heldout import Scored, score_frames
 from cannoise_jax.discovery.search.fit import Fitted, Step, without_all
 from cannoise_jax.discovery.search.maps import beside_others, predictions
-from cannoise_jax.discovery.search.name import TIE_NATS, UNKNOWN
+from cannoise_jax.discovery.search.name import TIE_NATS, UNKNOWN, Doubt
 from cannoise_jax.physics.transfer.estimate import Z90
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.score import Score
@@ -93,10 +94,10 @@ def refuted(step: Step, proof: Proof) -> bool:
     one without a name that they gain nothing is enough: nothing but its strength speaks for it, and a law
     that is a little off, as that of noise along the raster, leaves as much. A map that is drawn once has to
     be the same in both: of one that the frames held back have at no strength nothing would be handed back but
-    its name. What would take from the gain what it is has to be confirmed: no draw shows which of both it
-    is."""
+    its name. What would take from the gain what it is needs a name and has to be confirmed: no draw shows
+    which of both it is."""
     found, again = step.named.score, proof.score
-    if step.named.signature.of_gain and not proof.confirmed:
+    if step.named.signature.of_gain and (step.named.mechanism == UNKNOWN or not proof.confirmed):
         return True
     if step.late or again is None or proof.confirmed or proof.gain is None:
         return False
@@ -125,6 +126,17 @@ def standing(
             steps.append(step)
             each.append(proof)
     return fitted._replace(steps=tuple(steps)), proofs._replace(each=tuple(each))
+
+
+def without_doubted_gain(
+    fitted: Fitted, proofs: Proofs, against: Sequence[Doubt | None]
+) -> tuple[Fitted, Proofs] | None:
+    """Both without the findings that take from the gain and lose their name; None: there are none."""
+    named = [not s.named.signature.of_gain or d is None for s, d in zip(fitted.steps, against, strict=True)]
+    if all(named):
+        return None
+    steps, each = tuple(compress(fitted.steps, named)), tuple(compress(proofs.each, named))
+    return fitted._replace(steps=steps), proofs._replace(each=each)
 
 
 def unproven(steps: tuple[Step, ...]) -> Proofs:
