@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
@@ -90,14 +90,9 @@ class Diagnosis(Result):
         return save(self, folder, force=force)
 
 
-class Entered(NamedTuple):
-    """Both sides with some findings, what judges draws of them (None: nothing can), what of the findings
-    enters, and what speaks against the name of each."""
-
-    sides: Sides
-    panel: Panel | None
-    gated: Gated | None
-    against: tuple[Doubt | None, ...]
+Entered = tuple[Sides, Panel | None, Gated | None, tuple[Doubt | None, ...]]
+"""Both sides with some findings, what judges draws of them (None: nothing can), what of the findings enters,
+and what speaks against the name of each."""
 
 
 def diagnose(
@@ -183,17 +178,17 @@ def diagnose(
         proves = compare and splits.can_prove
         panel = open_panel(*judged_by(raw, fitted, sides, key)) if proves else None
         if panel is None:
-            return Entered(sides, None, None, none)
+            return sides, None, None, none
         tell("gate: draws of the simulator before and after")
         gated = gate(panel, sides, fitted.steps, proven, tell)
         if sides.model is None:
-            return Entered(sides, panel, gated, none)
+            return sides, panel, gated, none
         chance, own_key = alpha * SHARED.layer, jax.random.fold_in(key, 5)
         shown = [p.confirmed for p in unconfirmed(proven, fitted.steps).each]
         against = doubts(
             judged.capture, splits.frames, fitted.steps, sides.of, own_key, chance, shown, tell, light
         )
-        return Entered(sides, panel, gated, against)
+        return sides, panel, gated, against
 
     sides, panel, gated, against = entered(fitted, proven)
     if less := without_doubted_gain(fitted, proven, against):

@@ -71,7 +71,7 @@ class _Seen(NamedTuple):
 
 def _seen(field: Fields, scaling: str) -> _Seen | None:
     """None where the recording cannot show it."""
-    r = response(field, scaling).astype(np.float32)
+    r = (response(field, scaling) / field.louder).astype(np.float32)
     if not len(field.contrasts) or min(field.mean.shape) < SMALLEST or not r.any():
         return None
     squares = r.astype(np.float64) ** 2
@@ -197,8 +197,9 @@ def _less(field: Fields, pattern: Pattern, scaling: str) -> Fields:
         return field
     contrasts, static = field.contrasts, field.static
     if len(contrasts):
-        along = np.einsum("nij,ij->n", contrasts, template) / power
-        contrasts = (contrasts - along[:, None, None] * template).astype(np.float32)
+        seen = (template / field.louder).astype(np.float32)
+        along = np.einsum("nij,ij->n", contrasts, seen) / float(np.sum(seen.astype(np.float64) ** 2))
+        contrasts = (contrasts - along[:, None, None] * seen).astype(np.float32)
     if static is not None:
         left = 1 / np.sqrt(1 + pattern.variance * power)
         along = float(np.sum(static * template)) / power

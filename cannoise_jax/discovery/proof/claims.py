@@ -229,6 +229,22 @@ def empty(whole: Compared, each: list[Borne], step: Step) -> Doubt | None:
     return Doubt(1.0, tuple(lines_of(whole, left)[:3]))
 
 
+_MEMORIES = np.linspace(-0.98, 0.98, 99)
+
+
+def memory(correlation: Float[np.ndarray, "k"], frames: int) -> Float[np.ndarray, "k"]:
+    """What of each frame the next one has, an autoregression of order one, told by the correlation of one
+    with the next once the mean of so many is out of them: of independent frames that is -1 / (frames - 1).
+    None of two, which are each other's reverse then."""
+    if frames < 3:
+        return np.zeros_like(correlation)
+    at = np.arange(frames)
+    centred = np.eye(frames) - 1 / frames
+    each = [centred @ m ** np.abs(at[:, None] - at) @ centred for m in _MEMORIES]
+    told = [np.trace(c, 1) / (frames - 1) / (np.trace(c) / frames) for c in each]
+    return np.interp(correlation, told, _MEMORIES)
+
+
 def forgetful(whole: Compared, each: list[Borne]) -> Doubt | None:
     """What speaks against a name for lines that are redrawn: that they have much of the frame before, or of
     its reverse. each: what the mechanism bears on."""
@@ -243,7 +259,9 @@ def forgetful(whole: Compared, each: list[Borne]) -> Doubt | None:
     if not found or not mine.any():
         return None
     z = np.sum([j.z for j in found], 0) / np.sqrt(len(found))
-    more = np.mean([j.recorded - j.simulated for j in found], 0)
+    frames = [whole.seen[j.where].frames for j in found]
+    kept = [(memory(j.recorded, n), memory(j.simulated, n)) for j, n in zip(found, frames, strict=True)]
+    more = np.mean([recorded - simulated for recorded, simulated in kept], 0)
     told = mine & (np.abs(z) > max(j.passing for j in found)) & (np.abs(more) > _REMEMBERED)
     if not told.any():
         return None
