@@ -316,6 +316,26 @@ def test_the_ground_floor_imports_nothing():
     assert not imports("cannoise_jax.vocabulary") and not imports("cannoise_jax.exports")
 
 
+def by_place(path: Path) -> dict[str, int]:
+    """How many arguments functions of a module take by their place; of methods those beside the record."""
+    return {
+        f"{path.relative_to(PACKAGE)}:{f.lineno}: {f.name}": sum(
+            a.arg not in ("self", "cls") for a in (*f.args.posonlyargs, *f.args.args)
+        )
+        for f in ast.walk(tree(path))
+        if isinstance(f, ast.FunctionDef)
+    }
+
+
+def test_what_many_arguments_mean_is_said_where_they_are_given():
+    """Six by their place at most: a seventh is given by its name, or several of them are a record."""
+    rooms = ("physics", "signatures", "mechanisms", "discovery")
+    counts = {
+        k: n for room in rooms for path in (PACKAGE / room).rglob("*.py") for k, n in by_place(path).items()
+    }
+    assert max(counts.values()) == 6, {k: n for k, n in counts.items() if n > 6}
+
+
 def late_imports(module: str) -> set[tuple[str, str]]:
     """What functions of a module import of the package."""
     inner = (

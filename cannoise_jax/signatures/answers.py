@@ -192,6 +192,7 @@ def less_lines(
     fields: tuple[Fields, ...],
     axis: str,
     scaling: str,
+    *,
     along: Callable[[str], Float[np.ndarray, "h w"]],
     taken: Callable[[np.ndarray], Float[np.ndarray, "h w"]],
     score: Float[np.ndarray, "g"],

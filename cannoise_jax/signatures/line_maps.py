@@ -67,7 +67,7 @@ def static_absorb(
         of_lines = values if values.ndim == 1 else groups.sums(values * kept) / noise
         return (of_lines * share)[groups.of]
 
-    return less_lines(fields, axis, scaling, along, taken, sums.score, (kept, noise))
+    return less_lines(fields, axis, scaling, along=along, taken=taken, score=sums.score, told=(kept, noise))
 
 
 def frozen(

@@ -126,7 +126,7 @@ def compare_bank(
         more = spent * (total - ready) / ready if ready else 0.0
         left = f", some {more:.0f} s more" if more >= 1 else ""
         tell(f"compare: {Path(r.path or r.kind).name}, {number + 1} of {len(capture.recordings)}{left}")
-        return _one(source, number, r, chosen[number], count, step, isos[r.iso])
+        return _one(source, number, r, chosen[number], sets=count, step=step, iso=isos[r.iso])
 
     asked = [number for number, (_, frames) in enumerate(chosen) if frames]
     for number, done in zip(asked, each(one, asked), strict=True):
@@ -155,6 +155,7 @@ def _one(
     number: int,
     r: Recording,
     chosen: tuple[list[int], list[int]],
+    *,
     sets: int,
     step: float,
     iso: float,

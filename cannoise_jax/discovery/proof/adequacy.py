@@ -104,6 +104,7 @@ def doubts(
     splits: list[tuple[list[int], list[int]]],
     steps: tuple[Step, ...],
     of: Callable[..., SensorModel],
+    *,
     key: Key[Array, ""],
     alpha: float,
     confirmed: Sequence[bool],
