@@ -19,11 +19,10 @@ from scipy import fft
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.added import placed
-from cannoise_jax.signatures.answers import as_it_stays
 from cannoise_jax.signatures.carriers import refined
 from cannoise_jax.signatures.group_sums import LineSums
 from cannoise_jax.signatures.handed import Many, Predicted
-from cannoise_jax.signatures.means import minus, project
+from cannoise_jax.signatures.means import less_offsets
 from cannoise_jax.signatures.patterns import beside_lines, pixel_sums
 from cannoise_jax.signatures.score import ONE_PARAMETER, Score, chi2_log_sf, sidak
 from cannoise_jax.signatures.signature import (
@@ -209,8 +208,7 @@ def repeat_again(fields: Many, found: Score[Tile]) -> Score[Tile] | None:
 
 def repeat_absorb(fields: Many, score: Score[Tile]) -> Many:
     """Subtracts the pattern from what stays in every recording."""
-    image = score.payload.image(fields[0].mean.shape)
-    return tuple(f if f.static is None else minus(f, project(as_it_stays(f), image)) for f in fields)
+    return less_offsets(fields, score.payload.image(fields[0].mean.shape))
 
 
 def staying(*, name: str, covers: tuple[str, ...], before: tuple[str, ...]) -> Signature:
