@@ -39,6 +39,7 @@ class Case:
     note: str = ""
 
 
+# What a case records: darks alone, a flat beside them, darks and flats by exposure.
 DARK = (Shot("dark"),)
 FLAT = (Shot("dark"), Shot("flat", 0.3))
 SERIES = tuple(Shot("dark", exposure_s=t) for t in (0.01, 3.0, 6.0, 10.0))
