@@ -97,7 +97,7 @@ def predicted(
         mean, covariance = _posterior(place, _variances(place, sigma))
         for k, n in enumerate(place.which):
             doubt = covariance[:, k, k].reshape(shape)
-            out[n] = Predicted(mean[:, k].reshape(shape), doubt, maps[n].scaling)
+            out[n] = Predicted(maps[n].scaling, mean[:, k].reshape(shape), doubt)
         return mean
 
     _place_by_place(fields, maps, settled)

@@ -220,7 +220,7 @@ def staying(*, name: str, covers: tuple[str, ...], before: tuple[str, ...]) -> S
         if sums is None:
             return None
         size, tile = fields[0].mean.shape, _tile(sums, score.payload.values.shape)
-        return Predicted(tile.image(size), repeated(tile.doubt, size), "additive")
+        return Predicted("additive", tile.image(size), repeated(tile.doubt, size))
 
     def pattern(fields: Many, score: Score[Tile], rng: np.random.Generator) -> np.ndarray:
         return score.payload.image(fields[0].mean.shape)
