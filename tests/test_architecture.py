@@ -54,14 +54,8 @@ imported on first use, and says so to the core."""
 
 
 WORDS_ALONE = {
-    **{
-        f"cannoise_jax.physics.core.sensor_{name}": {"cannoise_jax.physics.core.sensor"}
-        for name in ("draws", "entries", "json")
-    },
-    "cannoise_jax.discovery.compare.pieces": {
-        "cannoise_jax.discovery.compare.judge",
-        "cannoise_jax.discovery.compare.run",
-    },
+    f"cannoise_jax.physics.core.sensor_{name}": {"cannoise_jax.physics.core.sensor"}
+    for name in ("draws", "entries", "json")
 }
 """Imports for type checking alone that close a circle: of what works on a record, the record."""
 ON_FIRST_USE = ("cannoise_jax",)

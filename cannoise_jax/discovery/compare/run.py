@@ -5,23 +5,16 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Float, Key
 
+from cannoise_jax.discovery.compare.compared import Compared, Measured, Seen, Statistics
 from cannoise_jax.discovery.compare.families import SHARED
-from cannoise_jax.discovery.compare.judge import Judgement, Peak, judge
+from cannoise_jax.discovery.compare.judge import judge
 from cannoise_jax.discovery.compare.lamp import steadied, without_wave
 from cannoise_jax.discovery.compare.light import Light, light_for
-from cannoise_jax.discovery.compare.measure import (
-    Measured,
-    Statistics,
-    is_coarse,
-    measure,
-    shared,
-    shared_variance,
-)
+from cannoise_jax.discovery.compare.measure import is_coarse, measure, shared, shared_variance
 from cannoise_jax.discovery.compare.sources import Source, open_source
 from cannoise_jax.discovery.compare.view import Raw, chosen_frames, noise_of, reduce, view
 from cannoise_jax.discovery.frames.calibrate import gain_groups
@@ -42,45 +35,6 @@ MOST_SETS = 4
 """Sets that are drawn at most: with four the draws add a quarter to the variance of a difference."""
 Chosen = list[tuple[list[int], list[int]]]
 """Of every recording the frames before those that are looked at, and these."""
-
-
-class Seen(NamedTuple):
-    """What is kept of one recording for the report.
-
-    name, kind, exposure_s: of the recording; size, frames: its rows and columns, and how many.
-    sigma: the simulator's noise per site, DN; log_sigma: the mean of its logarithm over the pixels.
-    signal: mean above black, DN.
-    degree: of the surface that stands for the light, 0 where none does.
-    """
-
-    name: str
-    kind: str
-    sigma: Float[np.ndarray, "4"]
-    log_sigma: float
-    signal: float
-    size: tuple[int, int]
-    frames: int
-    exposure_s: float | None
-    degree: int
-
-
-class Compared(NamedTuple):
-    """The bank of the recordings and of every set of the simulator, by recording, and what was judged.
-
-    held_back: whether all frames were kept from whoever made the simulator.
-    """
-
-    label: str
-    camera: str
-    alpha: float
-    seen: dict[str, Seen]
-    recorded: dict[str, Measured]
-    simulated: dict[str, list[Measured]]
-    judgements: list[Judgement]
-    peaks: list[Peak]
-    sets: int
-    step: float
-    held_back: bool = False
 
 
 def compare_bank(
