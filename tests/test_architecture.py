@@ -330,6 +330,36 @@ def test_what_many_arguments_mean_is_said_where_they_are_given():
     assert max(counts.values()) == 6, {k: n for k, n in counts.items() if n > 6}
 
 
+def without_words(path: Path) -> list[str]:
+    """Numbers that a module names without a line below them, or a remark, that says what they are."""
+    body, lines = tree(path).body, path.read_text().splitlines()
+
+    def plain(node: ast.stmt) -> bool:
+        try:
+            values = ast.literal_eval(node.value) if isinstance(node, ast.Assign | ast.AnnAssign) else None
+        except ValueError:
+            return False
+        values = values if isinstance(values, tuple) else (values,)
+        return all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
+
+    def told(number: int) -> bool:
+        after = next((n for n in body[number:] if not isinstance(n, ast.Assign | ast.AnnAssign)), None)
+        said = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+        at = body[number].lineno
+        return said or "#" in lines[at - 1] or lines[at - 2].lstrip().startswith("#")
+
+    return [lines[n.lineno - 1] for k, n in enumerate(body) if plain(n) and not told(k)]
+
+
+def test_numbers_that_have_a_name_say_what_they_are(tmp_path):
+    some = tmp_path / "some.py"
+    some.write_text('A = 1\nB = 2.0\n"""Two."""\nC = "a"\nD, E = 1, 2\n\n\ndef f():\n    pass\n')
+    assert without_words(some) == ["D, E = 1, 2"]
+    rooms = ("physics", "signatures", "mechanisms", "discovery")
+    found = {path: without_words(path) for room in rooms for path in (PACKAGE / room).rglob("*.py")}
+    assert not {path: numbers for path, numbers in found.items() if numbers}
+
+
 def late_imports(module: str) -> set[tuple[str, str]]:
     """What functions of a module import of the package."""
     inner = (

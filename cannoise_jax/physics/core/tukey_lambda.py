@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from scipy.special import beta
 
 GAUSSIAN = 0.135
-"""The shape nearest to a Gaussian."""
+"""The shape nearest to a Gaussian: its excess kurtosis is zero."""
 _NEAR_ZERO = 0.15
 """Below this |l| the variance is a polynomial through float64 values, for the closed form divides by l^2."""
 
