@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from cannoise_jax.exports import on_first_use
+from cannoise_jax.physics.core import home
 
 if TYPE_CHECKING:
     from cannoise_jax.discovery.diagnose import diagnose
@@ -44,6 +45,8 @@ __all__ = [
     "sample_noise",
     "unpack",
 ]
+
+home.tell(lambda: on_first_use(__name__, {"RECORDS": "mechanisms"}, "RECORDS"))
 
 
 def __getattr__(name: str) -> Any:

@@ -39,8 +39,10 @@ class Term:
 
     entry: number of the effect in the catalogue of noise mechanisms; None: not in it.
     unit: of the amplitude; "1" for a dimensionless number.
-    within: ids that contain this one as a special case. listed: its place in lists. says_exposure: whether
-    the definition says what the exposure does to it, which the sentence of a finding says otherwise.
+    within: ids that contain this one as a special case.
+    listed: its place in lists, by numbers that leave room between them: one more changes no other.
+    says_exposure: whether the definition says what the exposure does to it, which the sentence of a
+      finding says otherwise.
     Raises ValueError for a class that there is not.
     """
 
@@ -51,7 +53,7 @@ class Term:
     unit: str
     amplitude: str
     within: tuple[str, ...] = ()
-    listed: int = 1000
+    listed: int = 10000
     says_exposure: bool = False
 
     def __post_init__(self):

@@ -26,11 +26,9 @@ NAMED = (
 )
 """Where the name of a mechanism may stand: its own room, the injectors, and cameras made of named parts."""
 NAMES = frozenset(RECORDS) - frozenset(CLASSES)  # a class of mechanisms is called as one of them is
-LATE = {("cannoise_jax.physics.core.registry", "cannoise_jax.mechanisms")}
-"""The one arrow up, followed when it is used: a mechanism that a caller names."""
 FLOORS = (
     ("vocabulary", "exports"),
-    ("", "recordings", "physics", "physics.hidden_level", "physics.robust"),
+    ("recordings", "physics", "physics.hidden_level", "physics.robust"),
     ("physics.core",),
     (
         "physics.likelihood",
@@ -49,9 +47,15 @@ FLOORS = (
     ("discovery.result", "training", "blind"),
     ("discovery.report",),
     ("discovery.diagnose", "discovery"),
-    ("trials", "bench", "commands"),
+    ("trials", "bench", "commands", ""),
 )
-"""From the ground up: a room imports from its own floor and those below."""
+"""From the ground up: a room imports from its own floor and those below. The package itself has all else
+imported on first use, and says so to the core."""
+
+
+ON_FIRST_USE = ("cannoise_jax",)
+BY_STRINGS = ("cannoise_jax.exports", "cannoise_jax.mechanisms.outside", "cannoise_jax.commands.start")
+"""Modules that import what strings name: those of `ON_FIRST_USE`, a user's, and one of the commands."""
 
 
 @cache
@@ -69,13 +73,18 @@ def modules() -> dict[str, Path]:
 
 
 @cache
-def imports(module: str) -> frozenset[str]:
-    """Modules of the package that a module imports, inside functions too, but not for type checking alone."""
-    found: set[str] = set()
+def imports(module: str, types: bool = False) -> frozenset[str]:
+    """Modules of the package that a module imports, inside functions too, and those that it has imported on
+    first use, which strings name; those for type checking alone only where they are asked for."""
+    found = {
+        f"{module}.{n.value}"
+        for n in ast.walk(tree(modules()[module]))
+        if isinstance(n, ast.Constant) and module in ON_FIRST_USE
+    }
 
     def visit(node: ast.AST) -> None:
         for child in ast.iter_child_nodes(node):
-            if isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test):
+            if isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test) and not types:
                 continue
             if isinstance(child, ast.Import):
                 found.update(alias.name for alias in child.names)
@@ -86,7 +95,7 @@ def imports(module: str) -> frozenset[str]:
             visit(child)
 
     visit(tree(modules()[module]))
-    return frozenset(m for m in found if m in modules() and m != module and (module, m) not in LATE)
+    return frozenset(m for m in found if m in modules() and m != module)
 
 
 def room(module: str) -> str:
@@ -256,6 +265,16 @@ def test_every_field_of_a_record_is_read_by_the_package_itself(tmp_path):
 def test_no_module_imports_itself_in_a_circle():
     assert circles({"a": {"b"}, "b": {"c"}, "c": {"a"}}) == [["a", "b", "c", "a"]]
     assert not circles({module: set(imports(module)) for module in modules()})
+    assert not circles({module: set(imports(module, types=True)) for module in modules()}), "of types"
+
+
+def test_modules_are_imported_by_their_names_but_where_it_is_known():
+    """What strings name is no circle that a walk over imports sees."""
+    assert {"cannoise_jax.mechanisms", "cannoise_jax.sampling"} <= imports("cannoise_jax")
+    found = {m for m, path in modules().items() if {"import_module", "__import__"} & set(used(tree(path)))}
+    assert found == set(BY_STRINGS)
+    asked = {m for m, path in modules().items() if "on_first_use" in used(tree(path))}
+    assert asked == set(ON_FIRST_USE)
 
 
 def test_no_two_rooms_import_each_other():
@@ -284,6 +303,56 @@ def test_the_ground_floor_imports_nothing():
     assert not imports("cannoise_jax.vocabulary") and not imports("cannoise_jax.exports")
 
 
+def by_place(path: Path) -> dict[str, int]:
+    """How many arguments functions of a module take by their place; of methods those beside the record."""
+    return {
+        f"{path.relative_to(PACKAGE)}:{f.lineno}: {f.name}": sum(
+            a.arg not in ("self", "cls") for a in (*f.args.posonlyargs, *f.args.args)
+        )
+        for f in ast.walk(tree(path))
+        if isinstance(f, ast.FunctionDef)
+    }
+
+
+def test_what_many_arguments_mean_is_said_where_they_are_given():
+    """Six by their place at most: a seventh is given by its name, or several of them are a record."""
+    rooms = ("physics", "signatures", "mechanisms", "discovery")
+    counts = {
+        k: n for room in rooms for path in (PACKAGE / room).rglob("*.py") for k, n in by_place(path).items()
+    }
+    assert max(counts.values()) == 6, {k: n for k, n in counts.items() if n > 6}
+
+
+def without_words(path: Path) -> list[str]:
+    """Numbers that a module names without a line below them, or a remark, that says what they are."""
+    body, lines = tree(path).body, path.read_text().splitlines()
+
+    def plain(node: ast.stmt) -> bool:
+        try:
+            values = ast.literal_eval(node.value) if isinstance(node, ast.Assign | ast.AnnAssign) else None
+        except ValueError:
+            return False
+        values = values if isinstance(values, tuple) else (values,)
+        return all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
+
+    def told(number: int) -> bool:
+        after = next((n for n in body[number:] if not isinstance(n, ast.Assign | ast.AnnAssign)), None)
+        said = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+        at = body[number].lineno
+        return said or "#" in lines[at - 1] or lines[at - 2].lstrip().startswith("#")
+
+    return [lines[n.lineno - 1] for k, n in enumerate(body) if plain(n) and not told(k)]
+
+
+def test_numbers_that_have_a_name_say_what_they_are(tmp_path):
+    some = tmp_path / "some.py"
+    some.write_text('A = 1\nB = 2.0\n"""Two."""\nC = "a"\nD, E = 1, 2\n\n\ndef f():\n    pass\n')
+    assert without_words(some) == ["D, E = 1, 2"]
+    rooms = ("physics", "signatures", "mechanisms", "discovery")
+    found = {path: without_words(path) for room in rooms for path in (PACKAGE / room).rglob("*.py")}
+    assert not {path: numbers for path, numbers in found.items() if numbers}
+
+
 def late_imports(module: str) -> set[tuple[str, str]]:
     """What functions of a module import of the package."""
     inner = (
@@ -295,10 +364,9 @@ def late_imports(module: str) -> set[tuple[str, str]]:
 
 def test_imports_wait_for_their_use_only_where_a_command_starts():
     """Commands say at once what is wrong with their flags, and benches load one of two libraries. Elsewhere
-    no function imports of the package, so that none is needed to avoid a circle but the arrow up."""
+    no function imports of the package, so that none is needed to avoid a circle."""
     starts = ("cannoise_jax.commands.", "cannoise_jax.bench.")
-    late = {arrow for m in modules() if not m.startswith(starts) for arrow in late_imports(m)}
-    assert late == LATE
+    assert not {arrow for m in modules() if not m.startswith(starts) for arrow in late_imports(m)}
 
 
 def test_no_name_is_undefined():

@@ -152,7 +152,9 @@ def diagnose(
     raw = splits_of(judged.capture, judged.stated, judged.drawn, searched(entries))
     own = own_effects(judged.drawn, entries, judged.own_names(allowed, entries), log_alpha)
     too_much = excess(own, raw.looking)
-    judged, raw, own, kept = less_of(too_much, judged, raw, own, entries, allowed, log_alpha, key)
+    judged, raw, own, kept = less_of(
+        too_much, judged, raw, own, entries=entries, allowed=allowed, log_alpha=log_alpha, key=key
+    )
     splits = raw.less(partial(without_own, own=own))
     first = splits.looking
 
@@ -161,7 +163,9 @@ def diagnose(
     located = locate(first.fields, first.signatures)
     testable, not_testable = declare.testable(located, first.signatures, entries)
     every = (lambda: splits.together.fields) if splits.can_prove else None
-    fitted = stepwise(first.fields, first.signatures, allowed, log_alpha, tell, every, located)
+    fitted = stepwise(
+        first.fields, first.signatures, allowed, log_alpha, tell=tell, every=every, located=located
+    )
 
     fitted = beyond_draws(fitted, own, tell)
     fitted = fitted._replace(steps=beside_others(fitted.steps))
@@ -186,8 +190,9 @@ def diagnose(
         chance, own_key = alpha * SHARED.layer, jax.random.fold_in(key, 5)
         shown = [p.confirmed for p in unconfirmed(proven, fitted.steps).each]
         against = doubts(
-            judged.capture, splits.frames, fitted.steps, sides.of, own_key, chance, shown, tell, light
-        )
+            judged.capture, splits.frames, fitted.steps, sides.of,
+            key=own_key, alpha=chance, confirmed=shown, tell=tell, shades=light,
+        )  # fmt: skip
         return sides, panel, gated, against
 
     sides, panel, gated, against = entered(fitted, proven)
@@ -200,13 +205,13 @@ def diagnose(
         tell("remainder: what is left, measured as it is")
         rest = partial(with_remainder, judged.capture, key=jax.random.fold_in(key, 3), tell=tell)
         well, sure = described(fitted.steps, against), sure_of(fitted.steps, against)
-        gated = remaining(gated, panel, sides, well, sure, rest, tell)
+        gated = remaining(gated, panel, sides, described=well, sure=sure, with_rest=rest, tell=tell)
     if compare:
         tell("check: what still differs")
         fewer = partial(lesser, panel=panel, sides=sides, against=against, steps=fitted.steps)
         own_key = jax.random.fold_in(key, 4)
         gated, remains, model = checked(
-            judged, sides, gated, fewer, splits.frames, light, alpha, own_key, tell
+            judged, sides, gated, fewer, splits.frames, light=light, alpha=alpha, key=own_key, tell=tell
         )
     if panel is not None and gated is not None:
         quality = quality_of(panel, gated.before, gated.after)
@@ -215,26 +220,26 @@ def diagnose(
             proven = composite_proofs(jax.random.fold_in(key, 2), proven, quality, sides)
         fitted, gated = withdrawn(fitted, gated, against)
     return Diagnosis(
-        judged.capture,
-        judged.label,
-        alpha,
-        entries,
-        testable,
-        not_testable,
-        splits.frames,
-        first,
-        splits.held_back if splits.can_prove else None,
-        fitted,
-        unconfirmed(proven if sides.likelihood else proven.without_likelihood(), fitted.steps),
-        quality,
-        model,
-        gated,
-        remains,
-        model is not sides.model,
-        faults,
-        too_much,
-        seed_of(key),
-        time.monotonic() - started,
+        capture=judged.capture,
+        simulator=judged.label,
+        alpha=alpha,
+        entries=entries,
+        testable=testable,
+        not_testable=not_testable,
+        splits=splits.frames,
+        first=first,
+        second=splits.held_back if splits.can_prove else None,
+        fitted=fitted,
+        proven=unconfirmed(proven if sides.likelihood else proven.without_likelihood(), fitted.steps),
+        quality=quality,
+        model=model,
+        gated=gated,
+        remains=remains,
+        entered=model is not sides.model,
+        faults=faults,
+        excess=too_much,
+        key=seed_of(key),
+        seconds=time.monotonic() - started,
     )
 
 
@@ -243,6 +248,7 @@ def less_of(
     judged: Judged,
     raw: Splits,
     own: tuple[Step, ...],
+    *,
     entries: tuple[Entry, ...],
     allowed: frozenset[str],
     log_alpha: float,
@@ -280,6 +286,7 @@ def checked(
     gated: Gated | None,
     instead: Callable[[Gated], Iterator[Gated]],
     frames: list[tuple[list[int], list[int]]],
+    *,
     light: Mapping[int, np.ndarray],
     alpha: float,
     key: Key[Array, ""],

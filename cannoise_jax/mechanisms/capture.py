@@ -175,7 +175,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("misregistration",
              "The reference is shifted against the frames.",
-             17, "capture", "px", "length of the shift, px", ("reference_error",), listed=63),
+             17, "capture", "px", "length of the shift, px", ("reference_error",), listed=630),
         MISREGISTRATION,
         needs="scenes with an independent reference",
         signatures=lambda recorded: (
@@ -186,7 +186,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("scene_motion",
              "The scene moves between frames.",
-             17, "capture", "px", "motion per frame, px", listed=64),
+             17, "capture", "px", "motion per frame, px", listed=640),
         SCENE_MOTION,
         needs="ten frames or more of a scene with an independent reference",
         signatures=lambda recorded: (
@@ -198,7 +198,7 @@ ENTRIES: tuple[Entry, ...] = (
         Term("reference_error",
              "The reference image is not the true mean: noisy, blurred, shifted or scaled.",
              17, "capture", "DN", "rms difference between the reference and the true mean, DN",
-             listed=62),
+             listed=620),
         REFERENCE_ERROR,
         needs="scenes with an independent reference",
         signatures=lambda recorded: (
@@ -218,7 +218,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("flicker",
              "Mains-driven light read by a rolling shutter: rows brighten and darken in turn.",
-             16, "capture", "1", "peak, as a fraction of the signal", listed=60),
+             16, "capture", "1", "peak, as a fraction of the signal", listed=600),
         lamp.FLICKER,
         needs="two frames or more of a lit scene or flat",
         signatures=looks.always(
@@ -232,7 +232,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("illumination_drift",
              "The brightness of the light moves from frame to frame.",
-             18, "capture", "1", FRACTION, listed=61),
+             18, "capture", "1", FRACTION, listed=610),
         ILLUMINATION_DRIFT,
         needs="two frames or more of a lit scene or flat, and of a second recording",
         signatures=looks.always(
@@ -248,7 +248,7 @@ LAST = (
     Entry(
         Term("bookkeeping",
              "Wrong black level, white level, colour pattern or units in the description.",
-             50, "bookkeeping", "DN", "rms error of the description, DN", listed=65),
+             50, "bookkeeping", "DN", "rms error of the description, DN", listed=650),
         BOOKKEEPING,
         needs="darks, and a stated black level",
         signatures=lambda recorded: (

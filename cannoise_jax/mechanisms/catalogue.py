@@ -31,6 +31,7 @@ from cannoise_jax.recordings.atomic import texts_in_place
 from cannoise_jax.recordings.recording import BadInput
 
 SIDE, FRAMES = 128, 24
+"""Pixels of a side, and frames, of a picture: chosen small; what is `shown` is plain at this size."""
 SETTINGS = Settings(iso=100.0, exposure_s=1.0, frames=FRAMES)
 INK, ACCENT, QUIET = "#1f2933", "#c2410c", "#7b8794"
 

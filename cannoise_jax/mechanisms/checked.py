@@ -27,6 +27,7 @@ from cannoise_jax.vocabulary import UNKNOWN, Term
 
 _OF_RECORD = ("sample", "baseline", "draw_maps", "effect", "amplitude")
 _FRAMES = 2
+"""Frames that a sampler is traced with: more than one, as recordings have."""
 
 
 def check_entry(entry: Entry) -> None:

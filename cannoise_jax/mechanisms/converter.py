@@ -125,7 +125,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("lossy_compression",
              "Raw codes are rounded to a step that grows with the signal.",
-             44, "sensor", "DN", "code spacing at the white level, DN", listed=49),
+             44, "sensor", "DN", "code spacing at the white level, DN", listed=490),
         LOSSY_COMPRESSION,
         needs="flats at ten levels up to the white level",
         signatures=lambda recorded: (
@@ -138,7 +138,7 @@ ENTRIES: tuple[Entry, ...] = (
         Term("black_clipping",
              "Values below a level near black are cut off.",
              10, "sensor", "DN", "clipping level above (positive) or below the black level, DN",
-             listed=7),
+             listed=70),
         BLACK_CLIPPING,
         needs="darks",
         signatures=lambda recorded: (
@@ -154,7 +154,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("quantization",
              "Codes are spaced more widely than assumed.",
-             41, "sensor", "DN", "spacing of the codes, DN", ("lossy_compression",), listed=27),
+             41, "sensor", "DN", "spacing of the codes, DN", ("lossy_compression",), listed=270),
         QUANTIZATION,
         needs="files that state code_step",
         signatures=lambda recorded: (
@@ -166,7 +166,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("missing_codes",
              "Some codes never occur: digital scaling or converter faults.",
-             42, "sensor", "code steps", "period: one code in every so many is missing", listed=28),
+             42, "sensor", "code steps", "period: one code in every so many is missing", listed=280),
         MISSING_CODES,
         needs="flats or scenes whose noise spans three codes or more",
         signatures=lambda recorded: (

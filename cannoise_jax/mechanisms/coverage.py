@@ -23,6 +23,7 @@ from cannoise_jax.recordings.recording import Recording, per_channel
 GAIN, READ_E, BLACK, WHITE = 2.0, 3.0, 200.0, 16383.0
 """The plain camera that a mechanism is added to: DN/e-, e-, DN, DN."""
 SIZE = (64, 96)
+"""Rows and columns of its frames: chosen small, since a case is drawn hundreds of times."""
 CALIBRATED = (0.85, 0.95)
 """Coverage of 90 % intervals that counts as right."""
 

@@ -221,7 +221,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("dark_current",
              "Thermal charge grows with the exposure and brings its own shot noise.",
-             19, "sensor", "e-/s", "mean dark current, e-/s", listed=9, says_exposure=True),
+             19, "sensor", "e-/s", "mean dark current, e-/s", listed=90, says_exposure=True),
         DARK_CURRENT,
         needs="darks at two exposures or more, exposure_s stated",
         signatures=lambda recorded: (
@@ -235,7 +235,7 @@ ENTRIES: tuple[Entry, ...] = (
         Term("compensated_dark_current",
              "Noise of a dark current whose mean the camera's black clamp subtracts: it grows with the "
              "exposure, the level of the darks does not.",
-             None, "sensor", "e-/s", "mean dark current, e-/s", listed=53, says_exposure=True),
+             None, "sensor", "e-/s", "mean dark current, e-/s", listed=530, says_exposure=True),
         COMPENSATED_DARK_CURRENT,
         needs="darks at two exposures or more, two frames of each, exposure_s stated, and flats for the gain",
         signatures=lambda recorded: looks.dark_noise.beside_level(
@@ -245,7 +245,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("amp_glow",
              "Light of the readout electronics adds charge near an edge or corner.",
-             21, "sensor", "DN", RMS, listed=10),
+             21, "sensor", "DN", RMS, listed=100),
         AMP_GLOW,
         needs="darks, best at a long exposure",
         signatures=looks.always(
@@ -259,7 +259,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("hot_pixels",
              "A few pixels have a dark current far above the others, at fixed places.",
-             22, "sensor", "DN", RMS, listed=11),
+             22, "sensor", "DN", RMS, listed=110),
         HOT_PIXELS,
         needs="darks, best at a long exposure",
         signatures=looks.always(
@@ -277,7 +277,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("clock_induced_charge",
              "Spurious charge of the clocking, the same in every exposure time.",
-             4, "sensor", "e-", "mean charge per pixel and frame, e-", listed=40,
+             4, "sensor", "e-", "mean charge per pixel and frame, e-", listed=400,
              says_exposure=True),
         CLOCK_INDUCED_CHARGE,
         needs="several hundred short darks of an electron-multiplying sensor",
@@ -290,7 +290,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("temperature_drift",
              "The temperature, and with it the dark current, moves from frame to frame.",
-             25, "sensor", "K", "rms temperature change, K", listed=44),
+             25, "sensor", "K", "rms temperature change, K", listed=440),
         TEMPERATURE_DRIFT,
         needs="darks with the temperature of every frame stated",
         signatures=looks.always(

@@ -179,7 +179,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("demosaicing",
              "The mosaic has been interpolated from a coarser or another mosaic.",
-             48, "sensor", "1", "blend weight of the interpolated value", listed=52),
+             48, "sensor", "1", "blend weight of the interpolated value", listed=520),
         DEMOSAICING,
         needs="two frames or more at one setting",
         signatures=lambda recorded: (
@@ -193,7 +193,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("in_camera_denoising",
              "The camera has averaged each pixel with its neighbours of the same colour.",
-             45, "sensor", "1", "blend weight of the neighbours' mean", listed=29),
+             45, "sensor", "1", "blend weight of the neighbours' mean", listed=290),
         IN_CAMERA_DENOISING,
         needs="two frames or more at one setting",
         signatures=looks.always(
@@ -212,7 +212,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("defect_correction",
              "Listed pixels are replaced by the mean of their neighbours.",
-             47, "sensor", "1", "fraction of the pixels", listed=50),
+             47, "sensor", "1", "fraction of the pixels", listed=500),
         DEFECT_CORRECTION,
         needs="twenty frames or more of one flat",
         signatures=lambda recorded: (
@@ -223,7 +223,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("hot_pixel_suppression",
              "Pixels above all their neighbours of the same colour are clamped to them.",
-             46, "sensor", "1", "blend weight of the clamped value", listed=51),
+             46, "sensor", "1", "blend weight of the clamped value", listed=510),
         HOT_PIXEL_SUPPRESSION,
         needs="twenty long darks",
         signatures=looks.always(

@@ -39,6 +39,7 @@ class Case:
     note: str = ""
 
 
+# What a case records: darks alone, a flat beside them, darks and flats by exposure.
 DARK = (Shot("dark"),)
 FLAT = (Shot("dark"), Shot("flat", 0.3))
 SERIES = tuple(Shot("dark", exposure_s=t) for t in (0.01, 3.0, 6.0, 10.0))
@@ -53,12 +54,13 @@ LADDER = (
 class Examples:
     """Values of the parameters at which a mechanism is shown and tested; what is not given is typical.
 
-    curve: the statistic that tells it apart, of `curves.KINDS`. shown: plain in a small picture. dim: the
-    shot noise of a bright scene would hide it. strong: seen in a small simulation, and no special case of
-    anything weaker. cases: where the intervals of its estimator are checked.
+    curve: the statistic that tells it apart, of `curves.KINDS`; none of what is in no catalogue.
+    shown: plain in a small picture. dim: the shot noise of a bright scene would hide it.
+    strong: seen in a small simulation, and no special case of anything weaker.
+    cases: where the intervals of its estimator are checked.
     """
 
-    curve: str = "variance"
+    curve: str = ""
     shown: Mapping[str, float] = field(default_factory=dict)
     dim: bool = False
     strong: Mapping[str, float] = field(default_factory=dict)

@@ -209,8 +209,8 @@ POISSON_SKEW = Mechanism(
 )
 
 _LINES: tuple[tuple[Line, Mechanism, Callable[..., Estimates], int], ...] = (
-    ("row", ROW_READ_NOISE_MAP, loud_lines.row_read_noise_map, 32),
-    ("column", COLUMN_READ_NOISE_MAP, loud_lines.column_read_noise_map, 33),
+    ("row", ROW_READ_NOISE_MAP, loud_lines.row_read_noise_map, 320),
+    ("column", COLUMN_READ_NOISE_MAP, loud_lines.column_read_noise_map, 330),
 )
 
 ENTRIES: tuple[Entry, ...] = (
@@ -232,7 +232,7 @@ ENTRIES: tuple[Entry, ...] = (
         Term("read_noise_error",
              "The white read noise differs from the one assumed.",
              39, "sensor", "1", "relative error of the read noise: true over assumed, minus one",
-             listed=1),
+             listed=10),
         READ_NOISE_ERROR,
         needs="run with --simulator nlf on files that state shot and read, with darks of two frames or "
               "more",
@@ -246,7 +246,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("heavy_tails",
              "Read noise has heavier tails than a Gaussian, in every pixel alike.",
-             26, "sensor", "1", "excess kurtosis of the read noise", listed=12),
+             26, "sensor", "1", "excess kurtosis of the read noise", listed=120),
         HEAVY_TAILS,
         needs="darks of two frames or more whose noise exceeds two thirds of a code",
         signatures=looks.always(
@@ -279,7 +279,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("pixel_read_noise_map",
              "Every pixel has its own fixed read noise.",
-             27, "sensor", "1", "rms relative spread of the read noise over the pixels", listed=13),
+             27, "sensor", "1", "rms relative spread of the read noise over the pixels", listed=130),
         PIXEL_READ_NOISE_MAP,
         needs="three dark frames or more; eight are better",
         signatures=looks.always(
@@ -294,7 +294,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("poisson_skew",
              "Shot noise is Poisson, with its skewness, where a Gaussian was assumed.",
-             2, "sensor", "1", "strength: 0 Gaussian, 1 Poisson", listed=36),
+             2, "sensor", "1", "strength: 0 Gaussian, 1 Poisson", listed=360),
         POISSON_SKEW,
         needs="a simulator whose shot noise is Gaussian (that of the baseline is Poisson)",
         examples=Examples("tail", shown={"strength": 0.0}, dim=True),

@@ -95,7 +95,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("odd_even_row_noise",
              "Even and odd columns of a row part by a random offset, redrawn in every row and frame.",
-             34, "sensor", "DN", RMS, listed=16),
+             34, "sensor", "DN", RMS, listed=160),
         ODD_EVEN_ROW_NOISE,
         needs="two frames or more at one setting",
         signatures=looks.always(
@@ -108,7 +108,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("odd_even_column_fpn",
              "Columns of even and of odd rows part by a fixed offset.",
-             37, "sensor", "DN", RMS, ("dsnu",), listed=38),
+             37, "sensor", "DN", RMS, ("dsnu",), listed=380),
         ODD_EVEN_COLUMN_FPN,
         needs="darks of two frames or more",
         signatures=looks.always(
@@ -120,7 +120,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("odd_even_column_gain",
              "Columns of even and of odd rows part by a fixed gain.",
-             6, "sensor", "1", FRACTION, ("prnu",), listed=39),
+             6, "sensor", "1", FRACTION, ("prnu",), listed=390),
         ODD_EVEN_COLUMN_GAIN,
         needs="flats of two frames or more",
         signatures=looks.always(

@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 DARK_E_S, HOT_E_S = 2.0, 300.0
+"""Dark current of pixels, and what hot ones have beyond, e-/s: chosen; there the latter is a factor of it."""
 _DARK: dict[str, Any] = {"dark_current_e_per_s": DARK_E_S}
 
 GETFRAMES: dict[str, tuple[dict[str, dict[str, float]], dict[str, Any]]] = {

@@ -123,7 +123,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("lens_shading",
              "Sensitivity falls smoothly towards the corners.",
-             15, "sensor", "1", "fraction of the signal lost in the corners", ("prnu",), listed=43),
+             15, "sensor", "1", "fraction of the signal lost in the corners", ("prnu",), listed=430),
         LENS_SHADING,
         needs="flats with a reference of the light falling on the sensor (clean)",
         signatures=lambda recorded: (
@@ -134,7 +134,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("prnu",
              "Photo-response non-uniformity: every pixel has its own fixed sensitivity.",
-             5, "sensor", "1", FRACTION, listed=2),
+             5, "sensor", "1", FRACTION, listed=20),
         PRNU,
         needs="flats of two frames or more, or scenes with an independent reference",
         signatures=looks.always(
@@ -148,7 +148,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("column_gain",
              "Every column has its own fixed gain.",
-             6, "sensor", "1", FRACTION, ("prnu",), listed=4),
+             6, "sensor", "1", FRACTION, ("prnu",), listed=40),
         COLUMN_GAIN,
         needs="flats of two frames or more, or scenes with an independent reference",
         signatures=looks.always(
@@ -165,7 +165,7 @@ ENTRIES: tuple[Entry, ...] = (
              "The two green channels differ in sensitivity.",
              49, "sensor", "1",
              "rms fraction of the signal over the green pixels: half of the relative difference", ("prnu",),
-             listed=26),
+             listed=260),
         GREEN_IMBALANCE,
         needs="flats, or scenes with an independent reference, from a Bayer sensor",
         signatures=lambda recorded: looks.light.two_greens(
@@ -176,7 +176,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("dead_pixels",
              "A few pixels do not respond to light.",
-             23, "sensor", "1", "fraction of the pixels", ("prnu",), listed=31),
+             23, "sensor", "1", "fraction of the pixels", ("prnu",), listed=310),
         DEAD_PIXELS,
         needs="flats at two levels, with a hundred dead pixels or more in the frame",
         signatures=looks.always(

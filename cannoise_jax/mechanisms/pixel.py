@@ -190,7 +190,7 @@ ENTRIES: tuple[Entry, ...] = (
         Term("saturation",
              "Pixels hold no more charge than their full well.",
              9, "sensor", "1",
-             "full well in normalised units: the clean signal at which the pixel is full", listed=6),
+             "full well in normalised units: the clean signal at which the pixel is full", listed=60),
         SATURATION,
         needs="scenes or flats of several levels, two frames or more each, up to the white level",
         signatures=lambda recorded: (
@@ -204,7 +204,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("excess_noise",
              "Random gain of an electron multiplier raises the shot noise.",
-             3, "sensor", "1", "excess noise factor F^2, minus one", listed=37),
+             3, "sensor", "1", "excess noise factor F^2, minus one", listed=370),
         EXCESS_NOISE,
         needs="flats at five levels and the gain from another source, such as single-photon peaks",
         signatures=lambda recorded: (
@@ -216,7 +216,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("nonlinearity",
              "The response bends: the mean signal is not proportional to the light.",
-             8, "sensor", "1", "fraction of the signal lost at the white level", listed=5),
+             8, "sensor", "1", "fraction of the signal lost at the white level", listed=50),
         NONLINEARITY,
         needs="scenes with an independent reference that spans the range, or flats of one lamp at three "
         "exposures or more",
@@ -233,7 +233,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("rts",
              "Random telegraph signal: a few pixels jump between two levels.",
-             28, "sensor", "DN", RMS, listed=14),
+             28, "sensor", "DN", RMS, listed=140),
         RTS,
         needs="three dark frames or more; a hundred show the two levels",
         signatures=looks.always(
@@ -251,7 +251,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("dsnu",
              "Dark-signal non-uniformity: every pixel has its own fixed offset.",
-             20, "sensor", "DN", RMS, listed=3),
+             20, "sensor", "DN", RMS, listed=30),
         DSNU,
         needs="darks of two frames or more",
         signatures=looks.wherever(
@@ -272,7 +272,7 @@ EARLY = (
     Entry(
         Term("cosmic_rays",
              "Single bright tracks that do not repeat.",
-             24, "sensor", "1/(Mpx s)", "events per megapixel and second", listed=30),
+             24, "sensor", "1/(Mpx s)", "events per megapixel and second", listed=300),
         COSMIC_RAYS,
         needs="long darks, ten frames or more",
         signatures=looks.always(

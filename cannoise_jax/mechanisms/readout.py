@@ -86,7 +86,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("row_noise",
              "One random offset per row, white from row to row, redrawn in every frame.",
-             29, "sensor", "DN", RMS, ("row_pink_noise",), listed=15),
+             29, "sensor", "DN", RMS, ("row_pink_noise",), listed=150),
         mechanism_from_grammar(
             Point("readout", "signal", "row", "redrawn"), id="row_noise", default=0.5,
             sentence="Every row is read at its own instant, and what the supply does at that instant shifts "
@@ -109,7 +109,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("column_noise",
              "One random offset per column, white, redrawn in every frame.",
-             30, "sensor", "DN", RMS, listed=17),
+             30, "sensor", "DN", RMS, listed=170),
         mechanism_from_grammar(
             Point("readout", "signal", "column", "redrawn"), id="column_noise", default=0.5,
             sentence="Every column has its own amplifier or converter, whose offset jitters from frame "
@@ -129,7 +129,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("row_fpn",
              "One fixed offset per row.",
-             37, "sensor", "DN", RMS, ("dsnu",), listed=18),
+             37, "sensor", "DN", RMS, ("dsnu",), listed=180),
         mechanism_from_grammar(
             Point("readout", "signal", "row", "frozen"), id="row_fpn", default=0.5,
             sentence="Some rows are always a little brighter or darker: a fixed pattern that a dark "
@@ -150,7 +150,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("column_fpn",
              "One fixed offset per column.",
-             37, "sensor", "DN", RMS, ("dsnu",), listed=19),
+             37, "sensor", "DN", RMS, ("dsnu",), listed=190),
         mechanism_from_grammar(
             Point("readout", "signal", "column", "frozen"), id="column_fpn", default=0.5,
             sentence="Column amplifiers differ in offset: fixed vertical stripes that a dark average "
@@ -173,7 +173,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("pink_noise",
              "1/f noise along the raster scan.",
-             32, "sensor", "DN", RMS, listed=20),
+             32, "sensor", "DN", RMS, listed=200),
         mechanism_from_grammar(
             Point("readout", "signal", "raster", "redrawn", spectrum="power_law"),
             id="pink_noise", default=0.5,
@@ -195,7 +195,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("row_pink_noise",
              "An offset constant along each row and 1/f from row to row, redrawn per frame.",
-             31, "sensor", "DN", RMS, listed=21),
+             31, "sensor", "DN", RMS, listed=210),
         mechanism_from_grammar(
             Point("readout", "signal", "row", "redrawn", spectrum="power_law"),
             id="row_pink_noise", default=0.5,
@@ -214,7 +214,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("banding",
              "A sinusoid of fixed frequency across the frame: interference pick-up.",
-             33, "sensor", "DN", "peak, DN", listed=22),
+             33, "sensor", "DN", "peak, DN", listed=220),
         mechanism_from_grammar(
             Point("readout", "signal", "raster", "redrawn", spectrum="sinusoid"), id="banding", default=0.5,
             sentence="A clock, supply or radio couples into the readout: a regular pattern of stripes, "
@@ -242,7 +242,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("offset_drift",
              "The black level moves from frame to frame.",
-             35, "sensor", "DN", RMS, listed=23),
+             35, "sensor", "DN", RMS, listed=230),
         mechanism_from_grammar(
             Point("readout", "signal", "frame", "redrawn"), id="offset_drift", default=0.2,
             sentence="The black level is set anew for every frame and never quite the same.",
@@ -263,7 +263,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("channel_offset",
              "Each colour channel has its own black-level error.",
-             36, "sensor", "DN", RMS, ("dsnu", "bookkeeping"), listed=24),
+             36, "sensor", "DN", RMS, ("dsnu", "bookkeeping"), listed=240),
         mechanism_from_grammar(
             Point("readout", "signal", "channel", "frozen"), id="channel_offset", default=0.5,
             sentence="The black level differs between the colour channels: shadows take on a tint.",
@@ -283,7 +283,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("amplifier_mismatch",
              "Regions read by different amplifiers differ by a step in offset.",
-             38, "sensor", "DN", "step between adjoining regions, DN", ("dsnu",), listed=25),
+             38, "sensor", "DN", "step between adjoining regions, DN", ("dsnu",), listed=250),
         AMPLIFIER_MISMATCH,
         needs="darks of two frames or more",
         signatures=looks.always(
@@ -298,7 +298,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("amplifier_drift",
              "The offsets of regions read by different amplifiers move from frame to frame, each by itself.",
-             38, "sensor", "DN", RMS, listed=46),
+             38, "sensor", "DN", RMS, listed=460),
         mechanism_from_grammar(
             Point("readout", "signal", "block", "redrawn"), id="amplifier_drift", default=0.5,
             sentence="Each amplifier sets its own black level anew for every frame: regions step against "
@@ -317,7 +317,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("amplifier_gain",
              "Regions read by different amplifiers differ in gain.",
-             38, "sensor", "1", FRACTION, ("prnu",), listed=47),
+             38, "sensor", "1", FRACTION, ("prnu",), listed=470),
         mechanism_from_grammar(
             Point("readout", "signal", "block", "frozen", "multiply"), id="amplifier_gain", default=0.005,
             sentence="Amplifiers are never quite alike: a flat shows steps where one region ends and the "
@@ -337,7 +337,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("dual_gain",
              "The conversion gain switches at an ISO or at a signal level.",
-             7, "sensor", "1", "relative step of the gain at the switch", listed=41),
+             7, "sensor", "1", "relative step of the gain at the switch", listed=410),
         DUAL_GAIN,
         needs="flats and darks at five ISO values or more",
         signatures=lambda recorded: (

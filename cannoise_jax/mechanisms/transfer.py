@@ -146,7 +146,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("parallel_cti",
              "Charge that rows leave behind as they are shifted comes out with the rows read after them.",
-             None, "sensor", "1", "share of the charge left behind", listed=54),
+             None, "sensor", "1", "share of the charge left behind", listed=540),
         PARALLEL_CTI,
         needs="darks with hot pixels or hits of cosmic rays, and flats",
         signatures=looks.always(
@@ -157,7 +157,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("serial_cti",
              "Charge that pixels leave behind along the readout register comes out with the next ones.",
-             None, "sensor", "1", "share of the charge left behind", listed=55),
+             None, "sensor", "1", "share of the charge left behind", listed=550),
         SERIAL_CTI,
         needs="darks with hot pixels or hits of cosmic rays, and flats",
         signatures=looks.always(

@@ -139,7 +139,7 @@ ENTRIES: tuple[Entry, ...] = (
         Term("brighter_fatter",
              "Collected charge repels further charge: shot noise correlates.",
              12, "sensor", "1/e-", "minus a00: relative loss of shot-noise variance per electron",
-             listed=42),
+             listed=420),
         BRIGHTER_FATTER,
         needs="two frames or more of bright flats",
         signatures=looks.always(
@@ -152,7 +152,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("image_lag",
              "A frame keeps part of the charge of the frame before it.",
-             14, "sensor", "1", "fraction of the charge left behind", listed=34),
+             14, "sensor", "1", "fraction of the charge left behind", listed=340),
         IMAGE_LAG,
         needs="three frames or more of a flat, one after the other; a change from bright to dark tells more",
         signatures=lambda recorded: (
@@ -165,7 +165,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("smear",
              "Bright pixels leak into their whole column.",
-             11, "sensor", "1", "added signal as a fraction of the column's mean signal", listed=48),
+             11, "sensor", "1", "added signal as a fraction of the column's mean signal", listed=480),
         SMEAR,
         needs="a scene with a saturated light source, two frames or more",
         signatures=looks.always(
@@ -176,7 +176,7 @@ ENTRIES: tuple[Entry, ...] = (
     Entry(
         Term("crosstalk",
              "Charge or signal leaks into the neighbouring pixels of the mosaic after collection.",
-             13, "sensor", "1", "total fraction of charge given away", listed=8),
+             13, "sensor", "1", "total fraction of charge given away", listed=80),
         CROSSTALK,
         needs="two frames or more of a lit scene or flat",
         signatures=lambda recorded: (

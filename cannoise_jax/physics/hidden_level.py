@@ -70,7 +70,9 @@ def _constants():
 
 _BLENDS, _MATCHED, _CHOICE, _HIDDEN = _constants()
 _SQUARE = np.sum(_MATCHED * _BLENDS, 1)
+"""What the filter matched to each blend answers to it."""
 _PRIOR = np.array([_UNTOUCHED, *np.full(len(WEIGHTS) - 1, (1 - _UNTOUCHED) / (len(WEIGHTS) - 1))])
+"""By weight of the blend, none first."""
 
 
 def hidden_level(

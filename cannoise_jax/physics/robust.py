@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-_OF_MEDIAN = 1.4826
-"""Standard deviation of a normal law in units of the median of the distances from its centre."""
+OF_MEDIAN = 1.4826
+"""Standard deviation of a normal law in units of the median of the distances from its centre: one over its
+quantile of 3/4, 0.6745."""
+NOISE_OF_MEDIAN = 1.57
+"""Variance of a median of normal values over that of their mean: pi / 2 of many."""
 _PIXELS = 1 << 14
 """Pixels that are worked on at once: so many, of all values held, stay near the processor."""
 
@@ -14,7 +17,7 @@ _PIXELS = 1 << 14
 def robust_std(values: Float[np.ndarray, "..."], centre: float | None = None) -> float:
     """Standard deviation of the bulk of `values`, in their units, from the median of their distances to
     `centre`, by default to their own median."""
-    return _OF_MEDIAN * float(np.median(np.abs(values - (np.median(values) if centre is None else centre))))
+    return OF_MEDIAN * float(np.median(np.abs(values - (np.median(values) if centre is None else centre))))
 
 
 def local_median(

@@ -42,6 +42,7 @@ _CLIPPED = 0.1
 _ITERATIONS = 20
 """Reweighted fits, half of them by each rule."""
 _TINY = 1e-10
+"""A variance that counts as none, and keeps quotients finite: that of `FLOOR`."""
 FLOOR = 1e-5
 """Noise below this (normalised units) counts as none; far below the quantisation of 16 bits."""
 

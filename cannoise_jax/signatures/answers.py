@@ -29,7 +29,9 @@ added behind the gain: the same number of codes at all of them."""
 BY_TURNS = "column by turns"
 """Among the lines: columns of which a pattern turns its sign from row to row."""
 _AT_ONE_GAIN = 3
+"""How many of them recordings at one gain can tell apart: there the last is the first."""
 _NONE = np.zeros((1, 1), np.float32)
+"""What nothing answers, to add to."""
 _PRODUCTS: Kept[dict[frozenset[str], np.ndarray]] = Kept(4)
 """The last few of `at_first`: those of the frames that look and of all, on two threads."""
 
@@ -192,6 +194,7 @@ def less_lines(
     fields: tuple[Fields, ...],
     axis: str,
     scaling: str,
+    *,
     along: Callable[[str], Float[np.ndarray, "h w"]],
     taken: Callable[[np.ndarray], Float[np.ndarray, "h w"]],
     score: Float[np.ndarray, "g"],

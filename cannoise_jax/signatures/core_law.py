@@ -22,6 +22,7 @@ NORMAL, GAMMA, LOGNORMAL = "normal", "gamma", "log-normal"
 _BELOW = (0.02, 0.2, 0.5)
 """Quantiles that tell the skewness: one hot pixel in a hundred moves it by 0.04."""
 _SKEWS = np.linspace(0.02, 2.5, 125)
+"""Skewnesses that are told apart, from next to none to beyond that of exponential currents, 2."""
 _SURE = 3.0
 """Standard errors from which on levels count as skewed."""
 _ERROR = 9.0

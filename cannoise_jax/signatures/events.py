@@ -37,6 +37,7 @@ least: less is a duty of far below one frame in all."""
 _NONE_SEEN = 1e-6
 """Share of single electrons that stand out, below which none does: normal noise does so as often."""
 _CELL = np.ones((3, 3), bool)
+"""A pixel and its eight neighbours, of which a track goes on in one."""
 
 
 class Spikes(NamedTuple):

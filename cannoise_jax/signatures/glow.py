@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage, special
 
-from cannoise_jax.physics.robust import local_median
+from cannoise_jax.physics.robust import OF_MEDIAN, local_median
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.added import as_map, placed
@@ -103,7 +103,7 @@ def _like_neighbours(fields: tuple[Fields, ...]) -> tuple[Fields, ...]:
             about = local_median(static[at], _NEAR)
             away = np.abs(static[at] - about)
             # Where a glow is steep all of them are far from their median.
-            spread = np.maximum(1.4826 * local_median(away, _NEAR), 1.0)
+            spread = np.maximum(OF_MEDIAN * local_median(away, _NEAR), 1.0)
             static[at] = np.where(away > _ALONE * spread, about, static[at])
         return f._replace(static=static)
 

@@ -19,15 +19,15 @@ Many = tuple[Fields, ...]
 class Predicted(NamedTuple):
     """What one finding predicts for new frames.
 
-    pattern, doubt: estimate of a frozen pattern and the variance it leaves open, `[H, W]` or broadcasting;
     scaling: 'additive' DN, 'signal' fractions of it, 'exposure' DN per second, 'codes' DN of the recording.
+    pattern, doubt: estimate of a frozen pattern and the variance it leaves open, `[H, W]` or broadcasting.
     row, column, frame: standard deviation of random offsets, of that scaling; exponent: of the spectrum of
     the row offsets, 0: white.
     """
 
+    scaling: str
     pattern: np.ndarray | None = None
     doubt: np.ndarray | float = 0.0
-    scaling: str = "additive"
     row: float = 0.0
     column: float = 0.0
     frame: float = 0.0
@@ -44,8 +44,8 @@ class Series(NamedTuple):
 
     score: np.ndarray
     information: np.ndarray
-    exponent: float = 0.0
-    level: bool = True
+    exponent: float
+    level: bool
 
 
 class Found(NamedTuple):
@@ -103,7 +103,7 @@ class Asked(NamedTuple):
     looks: tuple[Many, ...]
     log_p: float
     share: float
-    weight: float = 1.0
+    weight: float
 
     @property
     def own_log_p(self) -> float:

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from scipy import special, stats
 from scipy.interpolate import RegularGridInterpolator
 
-from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.robust import NOISE_OF_MEDIAN, OF_MEDIAN, robust_std
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.core_law import Core
@@ -23,8 +23,6 @@ MOST_SHARE = 0.5
 
 _BLOCK = 8
 """Pixels of a site of the mosaic, a side, whose median is the level around them."""
-_MEDIAN = 1.57
-"""Variance of a median of normal values over that of their mean."""
 
 
 def above_neighbours(fields: tuple[Fields, ...], scaling: str) -> LineSums | None:
@@ -71,8 +69,8 @@ def _around(
     if not inside.size:
         return np.zeros(values.shape)
     levels = np.where(count, medians(inside, of, count), 0.0)
-    spread = 1.4826 * np.where(count, medians(np.abs(inside - levels[of]), of, count), 0.0)
-    noise = (_MEDIAN * spread**2 / np.maximum(count, 1)).reshape(shape)
+    spread = OF_MEDIAN * np.where(count, medians(np.abs(inside - levels[of]), of, count), 0.0)
+    noise = (NOISE_OF_MEDIAN * spread**2 / np.maximum(count, 1)).reshape(shape)
     levels = levels.reshape(shape)
     levels -= np.median(levels)
     apart = float(np.sum(np.minimum(levels**2, 1e6 * noise + 1e-30)))

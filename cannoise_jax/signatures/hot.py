@@ -238,7 +238,7 @@ def standing_out(
 
     def predict(fields: Many, score: Score[Heat]) -> Predicted | None:
         known = known_heat(fields, score.payload)
-        return None if known is None else Predicted(known.mean, known.variance, scaling)
+        return None if known is None else Predicted(scaling, known.mean, known.variance)
 
     def simulate(found: Found) -> Addition:
         """At their places, e-/s; what does not grow with exposures that differ is an offset map, without the

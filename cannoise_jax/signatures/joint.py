@@ -35,9 +35,11 @@ from cannoise_jax.signatures.patterns import STANDS_OUT, pixel_sums, scale_varia
 _LEAST = 1e-5
 """Share of a map's variance that its doubt keeps, whatever the frames say: what single precision tells."""
 _MEDIAN_OF_ONE = float(stats.chi2.median(1))
+"""Median of the square of a standard normal value."""
 _STEPS = 50
 """Steps of Fisher scoring at most."""
 _SHAPES = {"row": (-1, 1), "column": (1, -1)}
+"""Of the values of lines, by axis, to lie along the frame."""
 
 
 class FrozenMap(NamedTuple):
@@ -95,7 +97,7 @@ def predicted(
         mean, covariance = _posterior(place, _variances(place, sigma))
         for k, n in enumerate(place.which):
             doubt = covariance[:, k, k].reshape(shape)
-            out[n] = Predicted(mean[:, k].reshape(shape), doubt, maps[n].scaling)
+            out[n] = Predicted(maps[n].scaling, mean[:, k].reshape(shape), doubt)
         return mean
 
     _place_by_place(fields, maps, settled)

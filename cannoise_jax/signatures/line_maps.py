@@ -67,7 +67,7 @@ def static_absorb(
         of_lines = values if values.ndim == 1 else groups.sums(values * kept) / noise
         return (of_lines * share)[groups.of]
 
-    return less_lines(fields, axis, scaling, along, taken, sums.score, (kept, noise))
+    return less_lines(fields, axis, scaling, along=along, taken=taken, score=sums.score, told=(kept, noise))
 
 
 def frozen(
@@ -90,7 +90,7 @@ def frozen(
         if sums is None or not seconds:
             return None
         mean, doubt = posterior(sums.score, sums.information, (score.amplitude / seconds) ** 2)
-        return Predicted(mean.reshape(shape), doubt.reshape(shape), scaling)
+        return Predicted(scaling, mean.reshape(shape), doubt.reshape(shape))
 
     def pattern(fields: Many, score: Score, rng: np.random.Generator) -> np.ndarray | None:
         sums, seconds = static_sums(fields, axis, scaling), quoted_at(fields, scaling)

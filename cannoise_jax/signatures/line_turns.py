@@ -43,7 +43,7 @@ def columns(scaling: Scales, *, name: str, parameter: str, covers: tuple[str, ..
         if sums is None:
             return None
         mean, doubt = posterior(sums.score, sums.information, found.amplitude**2)
-        return Predicted(mean * turns(len(fields[0].mean))[:, None], doubt[None], scaling)
+        return Predicted(scaling, mean * turns(len(fields[0].mean))[:, None], doubt[None])
 
     def pattern(fields: Many, found: Score, rng: np.random.Generator) -> np.ndarray | None:
         sums = static_sums(_turned(fields), BY_TURNS, scaling)

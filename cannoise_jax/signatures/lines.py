@@ -120,7 +120,8 @@ def temporal_series(field: Fields, score: Score[Shared], *, axis: str, scaling: 
     """The offsets (or gains) of the lines of every contrast, as they are read together."""
     if not len(field.contrasts) or not (field.lit or scaling == "additive"):
         return None
-    return Series(*summed(line_sums(field, field.contrasts, axis, scaling), score.payload.together))
+    sums = summed(line_sums(field, field.contrasts, axis, scaling), score.payload.together)
+    return Series(*sums, exponent=0.0, level=True)
 
 
 def redrawn(
@@ -227,6 +228,7 @@ def _shared_by_line(axis: str):
     def predict(fields: Many, score: Score[Shared]) -> Predicted | None:
         if score.payload.together != ALONE:
             return None
-        return Predicted(row=score.amplitude) if axis == "row" else Predicted(column=score.amplitude)
+        sigma = score.amplitude
+        return Predicted("additive", row=sigma) if axis == "row" else Predicted("additive", column=sigma)
 
     return predict

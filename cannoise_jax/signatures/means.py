@@ -65,6 +65,11 @@ def minus(field: Fields, standardised: np.ndarray) -> Fields:
     return field._replace(static=(field.static - np.sqrt(field.frames) * standardised).astype(np.float32))
 
 
+def less_offsets(fields: tuple[Fields, ...], image: np.ndarray) -> tuple[Fields, ...]:
+    """The fields with an image of offsets, DN, taken out of what stays in every recording."""
+    return tuple(f if f.static is None else minus(f, project(as_it_stays(f), image)) for f in fields)
+
+
 def step_score(fields: tuple[Fields, ...]) -> Score[tuple[str, float, float]] | None:
     """A step in offset between two regions: the boundary is looked for along rows and along columns."""
     dark = tuple(f for f in fields if f.kind in DARK and f.static is not None)

@@ -255,7 +255,7 @@ def frame(scaling: Scales, *, name: str, parameter: str, covers: tuple[str, ...]
         score=partial(frame_score, scaling=scaling),
         absorb=partial(frame_absorb, scaling=scaling),
         covers=covers,
-        predict=(lambda fields, score: Predicted(frame=score.amplitude)) if additive else NO_LAW,
+        predict=(lambda fields, score: Predicted("additive", frame=score.amplitude)) if additive else NO_LAW,
         pattern=NO_PATTERN,
         simulate=strength(parameter),
         place=placed(
@@ -336,7 +336,7 @@ def pixel(
         if sums is None or not seconds:
             return None
         variance = (score.amplitude / seconds) ** 2
-        return Predicted(*posterior(sums.score, sums.information, variance), scaling)
+        return Predicted(scaling, *posterior(sums.score, sums.information, variance))
 
     def pattern(fields: Many, score: Score, rng: np.random.Generator) -> np.ndarray | None:
         sums = pixel_sums(fields, scaling, KINDS)

@@ -28,10 +28,10 @@ class Level(NamedTuple):
     variance: float
     error: float
     pixels: int
-    full: bool = False
-    sure: bool = True
-    alone: float = 0.0
-    part: int = 0
+    full: bool
+    sure: bool
+    alone: float
+    part: int
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -79,16 +79,18 @@ class Recorded(NamedTuple):
     """What the files say, and what was calibrated.
 
     black: stated black level of every gain setting, or that of the judged simulator, per mosaic site, DN;
-    tolerance: how far it may be
-    rounded; greens: sites of the two greens, None: there are none. jitter: variance of the frame offsets of
-    the darks, DN^2. stated: what is judged per gain setting, None: nothing is; fitted_too: whether it
-    is itself a fit. step: of the codes, span: white minus black, DN. mono:
-    whether neighbours see the same colour. times: numbers of the frames of every recording, in the order they
-    were taken. occurred: see `Occurred`. units: DN of each gain setting in one of the lowest, where they are
-    known. seconds: exposures that recordings state. rise: how the level of the judged simulator's darks rises
-    with the exposure, and its standard error, DN/s at the lowest gain. charge: variance that the charge of
-    the shortest dark of every gain setting has beyond that of the simulator's, DN^2. unlit: the darks as
-    they were recorded, with all that is taken out of them later.
+      tolerance: how far it may be rounded.
+    greens: sites of the two greens, None: there are none. mono: whether neighbours see the same colour.
+    jitter: variance of the frame offsets of the darks, DN^2. step: of the codes, span: white minus black, DN.
+    stated: what is judged per gain setting, None: nothing is; fitted_too: whether it is itself a fit.
+    times: numbers of the frames of every recording, in the order they were taken. occurred: see `Occurred`.
+    units: DN of each gain setting in one of the lowest, ones where they are not known.
+    seconds: exposures that recordings state.
+    rise: how the level of the judged simulator's darks rises with the exposure, and its standard error, DN/s
+      at the lowest gain; zeros of none.
+    charge: variance that the charge of the shortest dark of every gain setting has beyond that of the
+      simulator's, DN^2.
+    unlit: the darks as they were recorded, with all that is taken out of them later.
     """
 
     black: Float[np.ndarray, "g 4"]
@@ -104,11 +106,11 @@ class Recorded(NamedTuple):
     mono: bool
     times: dict[int, list[int]]
     occurred: Occurred
-    units: tuple[float, ...] = (1.0,)
-    seconds: tuple[float, ...] = ()
-    rise: tuple[float, float] = (0.0, 0.0)
-    charge: tuple[float, ...] = (0.0,)
-    unlit: tuple[Fields, ...] = ()
+    units: tuple[float, ...]
+    seconds: tuple[float, ...]
+    rise: tuple[float, float]
+    charge: tuple[float, ...]
+    unlit: tuple[Fields, ...]
 
     @property
     def several_exposures(self) -> bool:

@@ -6,14 +6,24 @@ import weakref
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Sequence
 from functools import wraps
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
-
-if TYPE_CHECKING:
-    from cannoise_jax.signatures.fields import Fields
+from typing import Any, Generic, Protocol, TypeVar
 
 _MOST = 64
 """Recordings whose results are kept."""
 Result = TypeVar("Result")
+
+
+class Numbered(Protocol):
+    """A recording by its number, and how many frames were before those that it has: fields."""
+
+    @property
+    def number(self) -> int: ...
+
+    @property
+    def before(self) -> int: ...
+
+
+Field = TypeVar("Field", bound=Numbered)
 
 
 class Kept(Generic[Result]):
@@ -39,14 +49,14 @@ class Kept(Generic[Result]):
         return result
 
 
-def remembered(*reads: str) -> Callable[[Callable[[Fields], Result]], Callable[[Fields], Result]]:
+def remembered(*reads: str) -> Callable[[Callable[[Field], Result]], Callable[[Field], Result]]:
     """A function of a field whose result is kept as long as the arrays that it `reads` are the same ones."""
 
-    def wrap(function: Callable[[Fields], Result]) -> Callable[[Fields], Result]:
+    def wrap(function: Callable[[Field], Result]) -> Callable[[Field], Result]:
         kept = Kept[Result](_MOST)
 
         @wraps(function)
-        def call(field: Fields) -> Result:
+        def call(field: Field) -> Result:
             arrays = [getattr(field, name) for name in reads]
             return kept.of(arrays, (field.number, field.before), lambda: function(field))
 

@@ -19,11 +19,10 @@ from scipy import fft
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.added import placed
-from cannoise_jax.signatures.answers import as_it_stays
 from cannoise_jax.signatures.carriers import refined
 from cannoise_jax.signatures.group_sums import LineSums
 from cannoise_jax.signatures.handed import Many, Predicted
-from cannoise_jax.signatures.means import minus, project
+from cannoise_jax.signatures.means import less_offsets
 from cannoise_jax.signatures.patterns import beside_lines, pixel_sums
 from cannoise_jax.signatures.score import ONE_PARAMETER, Score, chi2_log_sf, sidak
 from cannoise_jax.signatures.signature import (
@@ -209,8 +208,7 @@ def repeat_again(fields: Many, found: Score[Tile]) -> Score[Tile] | None:
 
 def repeat_absorb(fields: Many, score: Score[Tile]) -> Many:
     """Subtracts the pattern from what stays in every recording."""
-    image = score.payload.image(fields[0].mean.shape)
-    return tuple(f if f.static is None else minus(f, project(as_it_stays(f), image)) for f in fields)
+    return less_offsets(fields, score.payload.image(fields[0].mean.shape))
 
 
 def staying(*, name: str, covers: tuple[str, ...], before: tuple[str, ...]) -> Signature:
@@ -222,7 +220,7 @@ def staying(*, name: str, covers: tuple[str, ...], before: tuple[str, ...]) -> S
         if sums is None:
             return None
         size, tile = fields[0].mean.shape, _tile(sums, score.payload.values.shape)
-        return Predicted(tile.image(size), repeated(tile.doubt, size), "additive")
+        return Predicted("additive", tile.image(size), repeated(tile.doubt, size))
 
     def pattern(fields: Many, score: Score[Tile], rng: np.random.Generator) -> np.ndarray:
         return score.payload.image(fields[0].mean.shape)

@@ -121,7 +121,7 @@ def learned(record: Mechanism, fields: Many, recorded: Recorded) -> Template | N
         if gain > best:
             best, basis = gain, tried
     every = {
-        f.number: _enough(record, strength, f, recorded, pair, stays, basis)
+        f.number: _enough(record, strength, f, recorded, pair, stays=stays, basis=basis)
         for f, pair in zip(fields, images, strict=True)
     }
     power = {number: max(float(np.mean(p)), 0.0) for number, (p, _) in every.items()}
@@ -147,6 +147,7 @@ def _enough(
     field: Fields,
     recorded: Recorded,
     pair: tuple[Images, Images],
+    *,
     stays: bool,
     basis: Basis,
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "h w"]]:

@@ -213,7 +213,7 @@ def slope(
     rows = scan == "row"
 
     def predict(fields: Many, score: Score) -> Predicted:
-        return Predicted(row=score.amplitude, exponent=float(score.parameters["exponent"][0]))
+        return Predicted("additive", row=score.amplitude, exponent=float(score.parameters["exponent"][0]))
 
     def beside(found: Found) -> dict[str, float]:
         return {"exponent": found.score.parameters["exponent"][0]}
@@ -223,7 +223,7 @@ def slope(
             return None
         exponent = score.payload[1]
         if rows:
-            return Series(*line_sums(field, field.contrasts, "row", "additive"), exponent)
+            return Series(*line_sums(field, field.contrasts, "row", "additive"), exponent, level=True)
         weight = field.weight.astype(np.float32).ravel()
         values = field.contrasts.reshape(len(field.contrasts), -1) * weight
         return Series(values, weight.astype(np.float64) ** 2, exponent, level=False)

@@ -37,6 +37,7 @@ _LENGTHS = (0.3, 1.0, 2.5, 6.0)
 _SCATTER = (0.005, 0.02, 0.08)
 """Standard deviations, beside that of noise, that are tried of the first share of a tail."""
 _LEAST_SCATTER = 1e-3
+"""And the least that is: a fifth of the smallest that is tried."""
 _LEAST = 16
 """Pixels that stand out from which on it can be told: the sum of so many over its root mean square is 4 at
 most."""
@@ -45,7 +46,8 @@ _FIVE = 5.0
 _MOST_LEFT = 0.45
 """Share left behind beyond which the tail is no smaller than what it is of."""
 _BOUND = 3.18
-"""By which Pinelis' bound is above the chance of a normal value."""
+"""By which the bound is above the chance of a normal value, 1 / (4 P(Z > sqrt 2)): no smaller factor holds
+for all sums of random signs (Bentkus and Dzindzalieta, Bernoulli 21, 1205 (2015))."""
 _ODD = 4.0
 """Standard deviations beyond which a difference is another one's: it counts for nothing."""
 _TYPICAL = 0.3

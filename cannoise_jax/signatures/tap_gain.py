@@ -33,7 +33,7 @@ from cannoise_jax.signatures.signature import (
     Axes,
     Signature,
 )
-from cannoise_jax.signatures.taps import regions_of
+from cannoise_jax.signatures.taps import of_one_strength, regions_of
 
 DEGREE = 16
 """Total degree of the surface that may have been taken out of a flat, at most (`frames.smooth`)."""
@@ -274,10 +274,6 @@ def gain_absorb(fields: Many, score: Score[Gains]) -> Many:
 def gains(*, name: str, parameter: str, covers: tuple[str, ...], before: tuple[str, ...]) -> Signature:
     """Gains of regions of equal size. parameter: the mechanism's strength. before: signatures of single
     lines, whose patterns hold those of regions."""
-
-    def pattern(fields: Many, score: Score[Gains], rng: np.random.Generator) -> np.ndarray:
-        return score.payload.image(fields[0].mean.shape) / max(score.amplitude, 1e-12)
-
     return Signature(
         name=name,
         axes=Axes("readout", "amplifier", "frozen", "signal", "step"),
@@ -287,7 +283,7 @@ def gains(*, name: str, parameter: str, covers: tuple[str, ...], before: tuple[s
         absorb=gain_absorb,
         covers=covers,
         predict=NO_LAW,
-        pattern=pattern,
+        pattern=of_one_strength,
         simulate=strength(parameter, unit_map=True),
         place=placed(_POINT, unit_map=True),
         detectable=BY_SHIFT,

@@ -6,7 +6,7 @@ Two regions with a boundary anywhere are `means.step_score`'s.
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -17,7 +17,7 @@ from cannoise_jax.signatures.answers import as_it_stays
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.group_sums import area_sums
 from cannoise_jax.signatures.handed import Many
-from cannoise_jax.signatures.means import minus, project
+from cannoise_jax.signatures.means import less_offsets
 from cannoise_jax.signatures.score import Score, chi2_log_sf, sidak
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,
@@ -148,17 +148,17 @@ def tap_score(fields: tuple[Fields, ...]) -> Score[Taps] | None:
 
 def tap_absorb(fields: tuple[Fields, ...], score: Score[Taps]) -> tuple[Fields, ...]:
     """Subtracts the offsets of the regions from every static field."""
-    image = score.payload.image(fields[0].mean.shape)
-    return tuple(f if f.static is None else minus(f, project(as_it_stays(f), image)) for f in fields)
+    return less_offsets(fields, score.payload.image(fields[0].mean.shape))
+
+
+def of_one_strength(fields: Many, score: Score[Any], rng: np.random.Generator) -> np.ndarray:
+    """The image of regions at the strength of one."""
+    return score.payload.image(fields[0].mean.shape) / max(score.amplitude, 1e-12)
 
 
 def regions(*, name: str, parameter: str, covers: tuple[str, ...], before: tuple[str, ...]) -> Signature:
     """Offsets of regions of equal size. before: signatures of small areas
     and of pixels, which hold them as well."""
-
-    def pattern(fields: Many, score: Score, rng: np.random.Generator) -> np.ndarray:
-        return score.payload.image(fields[0].mean.shape) / max(score.amplitude, 1e-12)
-
     return Signature(
         name=name,
         axes=Axes("readout", "amplifier", "frozen", "additive", "step"),
@@ -167,7 +167,7 @@ def regions(*, name: str, parameter: str, covers: tuple[str, ...], before: tuple
         absorb=tap_absorb,
         covers=covers,
         predict=NO_LAW,
-        pattern=pattern,
+        pattern=of_one_strength,
         simulate=strength(parameter, unit_map=True),
         place=placed(OFFSETS, unit_map=True),
         detectable=BY_SHIFT,

@@ -59,9 +59,9 @@ def located(capture: CaptureSet, without: tuple[str, ...]) -> dict[str, Any]:
             first,
             lambda: splits.together.fields,
             prepared.signatures,
-            allowed,
-            first.tests,
-            math.log(ALPHA),
+            allowed=allowed,
+            tests=first.tests,
+            log_alpha=math.log(ALPHA),
         )
         if late is not None:
             named, log_p = late

@@ -37,7 +37,11 @@ RECORDED = Recorded(
     mono=False,
     times={},
     occurred=Occurred(np.zeros(0, int), np.zeros(0), np.zeros(0), 1.0),
+    units=(1.0,),
     seconds=(0.01, 1.0),
+    rise=(0.0, 0.0),
+    charge=(0.0,),
+    unlit=(),
 )
 """What files say that state the gain and read noise which was fitted, and hold no codes."""
 SIGNATURES: dict[str, Signature] = {s.name: s for s in signatures(RECORDED)}

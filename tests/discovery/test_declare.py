@@ -20,5 +20,6 @@ def test_every_signature_names_others_that_exist():
     assert len(names) == len(signatures)
     ids = {entry.id for entry in ENTRIES}
     for s in signatures:
-        assert {*s.covers, *s.lifted_by} <= names, s.name
+        others = {*s.covers, *s.covered_by, *s.lifted_by, *s.found_in, *({s.after} - {""})}
+        assert others <= names, s.name
         assert {s.mechanism, *s.reads_as} <= ids | {None}, s.name

@@ -70,7 +70,11 @@ def test_what_the_final_model_does_not_need_is_given_up_again():
     signatures = tuple(p for p in prepared.signatures if p.name.startswith("row_"))
     said = []
     found = stepwise(
-        prepared.fields, signatures, frozenset({"row_fpn", "row_noise"}), float(np.log(0.01)), said.append
+        prepared.fields,
+        signatures,
+        frozenset({"row_fpn", "row_noise"}),
+        float(np.log(0.01)),
+        tell=said.append,
     )
     assert [s.named.mechanism for s in found.steps] == ["row_noise"]
     assert any(text.startswith("given up: row_fpn") for text in said)

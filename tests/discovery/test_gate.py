@@ -95,7 +95,9 @@ def test_what_is_handed_back_is_never_worse_than_what_was_given(areas, handed_ba
     named = {(): "given", ("a",): "a", ("a", "b"): "ab"}
     sides = SimpleNamespace(plain=draws, model="given", bare="given", of=named.get, level=str)
     found = gate_module.gate(Bench(areas), sides, ("a", "b"), proofs)
-    found = gate_module.remaining(found, Bench(areas), sides, ("a",), ("a",), lambda model: model + "+")
+    found = gate_module.remaining(
+        found, Bench(areas), sides, described=("a",), sure=("a",), with_rest=lambda model: model + "+"
+    )
     assert (found.model, "".join(found.steps), found.remainder) == (handed_back, steps, rest)
     assert areas[found.model] <= areas["given"]
 
@@ -143,7 +145,9 @@ def test_findings_with_a_name_stay_where_one_without_keeps_the_remainder_from_he
     areas = {"given": 0.4, "ab": 0.2, "ab+": 0.3, "a+": 0.05, "given+": 0.03}
     bench = Bench(areas)
     found, sides = gated(bench)
-    found = gate_module.remaining(found, bench, sides, ("a", "b"), ("a",), lambda model: model + "+")
+    found = gate_module.remaining(
+        found, bench, sides, described=("a", "b"), sure=("a",), with_rest=lambda model: model + "+"
+    )
     assert (found.model, found.steps, found.remainder) == ("a+", ("a",), True)
 
 
@@ -153,7 +157,9 @@ def test_findings_stay_beside_a_remainder_that_does_no_better_alone():
     for unsure, handed_back in ((("ab+",), "ab+"), ((), "ab+")):
         bench = Bench(areas, unsure=unsure)
         found, sides = gated(bench)
-        found = gate_module.remaining(found, bench, sides, ("a",), ("a",), lambda model: model + "+")
+        found = gate_module.remaining(
+            found, bench, sides, described=("a",), sure=("a",), with_rest=lambda model: model + "+"
+        )
         assert (found.model, found.steps, found.remainder) == (handed_back, ("a", "b"), True)
         entered = {t.what for t in found.tried if t.entered}
         assert entered == {"findings", "remainder"}
@@ -166,7 +172,9 @@ def test_an_area_above_a_half_by_chance_lets_no_remainder_in(error, enters):
     found, sides = gated(bench)
     area = Area(-0.0416, -0.08, -0.005, error, 20)
     bench.change = lambda before, after: area
-    found = gate_module.remaining(found, bench, sides, ("a", "b"), ("a", "b"), lambda model: model + "+")
+    found = gate_module.remaining(
+        found, bench, sides, described=("a", "b"), sure=("a", "b"), with_rest=lambda model: model + "+"
+    )
     assert found.remainder == enters
 
 
@@ -272,5 +280,7 @@ def test_findings_whose_names_hold_enter_where_all_together_are_worse(alone, han
     bench = Bench(areas)
     found, sides = gated(bench, confirmed=False)
     assert found.model == "given"
-    found = gate_module.remaining(found, bench, sides, ("a", "b"), ("a",), lambda model: model + "+")
+    found = gate_module.remaining(
+        found, bench, sides, described=("a", "b"), sure=("a",), with_rest=lambda model: model + "+"
+    )
     assert (found.model, found.steps) == handed_back

@@ -49,7 +49,7 @@ def gain(capture, *found):
 def test_gain_of_row_noise_is_that_of_the_exact_gaussian_likelihood(sigma):
     read = 4.5
     capture = capture_set(31, row_offsets(sigma), kinds="d")
-    value, low, high = gain(capture, Predicted(row=sigma))
+    value, low, high = gain(capture, Predicted("additive", row=sigma))
     exact = 0.0
     for r in capture.recordings:
         x = np.asarray(r.frames, float)[split_frames(r.count)[1]] - 200.0
@@ -65,7 +65,7 @@ def test_gain_of_row_noise_is_that_of_the_exact_gaussian_likelihood(sigma):
 
 
 def test_what_is_not_there_loses():
-    value, _, high = gain(capture_set(32, kinds="d"), Predicted(row=1.5))
+    value, _, high = gain(capture_set(32, kinds="d"), Predicted("additive", row=1.5))
     assert value < 0 and high < 0
 
 
@@ -78,7 +78,7 @@ def test_a_frozen_pattern_is_learned_in_one_half_and_predicts_the_other():
     step = found.fitted.steps[0]
     first, second, chosen = halves(capture_set(33, column_pattern(1.0), kinds="d"))
     rng = np.random.default_rng(0)
-    wrong = Predicted(rng.standard_normal((1, step.before[0].mean.shape[1])), 0.1)
+    wrong = Predicted("additive", rng.standard_normal((1, step.before[0].mean.shape[1])), 0.1)
     base, full = (score_frames(first, second, chosen, law) for law in ([], [wrong]))
     assert frame_interval(full, base)[0] < 0
 

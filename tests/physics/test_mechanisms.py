@@ -14,7 +14,7 @@ from cannoise_jax.mechanisms import ENTRIES, MECHANISMS, VOCABULARY, curves
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.physics.core import chain
 from cannoise_jax.physics.core.grammar import Point
-from cannoise_jax.physics.core.mechanism import STAGES
+from cannoise_jax.physics.core.mechanism import STAGES, Scaling
 from cannoise_jax.physics.core.registry import mechanism
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.settings import resolve
@@ -96,6 +96,13 @@ def test_every_name_has_a_mechanism_and_every_mechanism_one_name():
     first, second, *_ = ENTRIES
     with pytest.raises(ValueError, match="give both one name"):
         Entry(first.term, second.record, needs="darks")
+
+
+@pytest.mark.parametrize("law", [Scaling(gain=1.0), Scaling(exposure=1.0), Scaling(doubling_c=7.0)])
+def test_a_law_that_would_do_nothing_is_refused(law):
+    bare = dataclasses.replace(mechanism("row_noise"), scales=None, scaling=Scaling())
+    with pytest.raises(ValueError, match="row_noise: .* name in `scales` the parameter"):
+        dataclasses.replace(bare, scaling=law)
 
 
 FROZEN = [e.id for e in ENTRIES if e.record.draw_maps is not None]

@@ -7,12 +7,12 @@ family over everything that was looked at, in every recording and in darks and l
 from __future__ import annotations
 
 from collections import defaultdict
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
+from cannoise_jax.discovery.compare.compared import Judgement, Measured, Peak, Statistics
 from cannoise_jax.discovery.compare.correlated import correlated, of_counts, of_moments, unskewed
 from cannoise_jax.discovery.compare.families import (
     FAMILIES,
@@ -28,7 +28,7 @@ from cannoise_jax.discovery.compare.families import (
     Family,
     of,
 )
-from cannoise_jax.discovery.compare.measure import Measured, Statistics, of_sets
+from cannoise_jax.discovery.compare.measure import of_sets
 from cannoise_jax.signatures import laws
 
 FLOOR = 4.0
@@ -39,32 +39,6 @@ _COUNTED = {
     UNSTEADY: ((*UNSTEADY_CHANCES, *QUIET_CHANCES), True),
 }
 """Chances of the limits beyond which a family counts pixels, and whether it counts them by their squares."""
-
-
-class Judgement(NamedTuple):
-    """One family of one recording, or of several of a kind together."""
-
-    family: str
-    where: str
-    recorded: Float[np.ndarray, "k"]
-    simulated: Float[np.ndarray, "k"]
-    z: Float[np.ndarray, "k"]
-    passing: float
-
-    @property
-    def found(self) -> np.ndarray:
-        """Which statistics differ."""
-        return np.flatnonzero(np.abs(self.z) > self.passing)
-
-
-class Peak(NamedTuple):
-    """One frequency whose power differs: cycles per pixel down and across, excess amplitude in standard
-    deviations of the noise (of the side that has it), signed by which has more."""
-
-    where: str
-    frequency: tuple[float, float]
-    amplitude: float
-    z: float
 
 
 def judged(

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from cannoise_jax.discovery.frames.contrasts import robust_line
-from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.robust import OF_MEDIAN, robust_std
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import Recording
 from cannoise_jax.signatures.fields import least_squares
@@ -136,7 +136,7 @@ def cells_of(mean: Float[np.ndarray, "h w"], usable: Bool[np.ndarray, "h w"]) ->
     centre = np.median(values, 2, keepdims=True)
     away = np.abs(values - centre)
     # Where most values are one code, the median of what is away from it is zero: then all count.
-    spread = 1.4826 * np.median(away, 2, keepdims=True)
+    spread = OF_MEDIAN * np.median(away, 2, keepdims=True)
     ok = ok & (away <= np.where(spread > 0, 5 * spread, np.inf))
     weight = ok.sum(2)
     return Cells(np.sum(values * ok, 2) / np.maximum(weight, 1), weight, mean.shape, (height, width))  # type: ignore[arg-type]

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
+from cannoise_jax.discovery.compare.compared import Measured, Statistics
 from cannoise_jax.discovery.compare.families import (
     BY_PARITY,
     CODES,
@@ -40,34 +39,6 @@ from cannoise_jax.discovery.compare.view import RESIDUES, View
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.signatures import bank
 from cannoise_jax.signatures.fields import helmert
-
-
-class Statistics(NamedTuple):
-    """One family of one recording.
-
-    law: `energy`, `mean` or `count`.
-    values: by unit and statistic.
-    size: degrees of freedom of an energy, variance of a unit's mean under white noise, 1 for counts.
-    frames: of which a static map is the mean.
-    """
-
-    law: str
-    values: Float[np.ndarray, "u k"]
-    size: Float[np.ndarray, "k"]
-    frames: int = 1
-
-
-class Measured(NamedTuple):
-    """The families of one recording by name, the summed periodogram of its contrasts and how many they are,
-    its static map for the comparison between recordings (None: not known), whether its noise is less than a
-    code, and the number of its columns."""
-
-    families: dict[str, Statistics]
-    power: Float[np.ndarray, "h v"] | None
-    contrasts: int
-    static: Float[np.ndarray, "h w"] | None
-    coarse: bool = False
-    width: int = 0
 
 
 def of_sets(sets: list[Measured], family: str) -> list[Statistics]:

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from cannoise_jax.discovery.compare import words
+from cannoise_jax.discovery.compare.compared import Compared, Judgement, Peak
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures import bank
-
-if TYPE_CHECKING:
-    from cannoise_jax.discovery.compare.judge import Judgement, Peak
-    from cannoise_jax.discovery.compare.run import Compared
 
 
 class Piece(NamedTuple):
@@ -31,7 +28,7 @@ class Piece(NamedTuple):
     note: str
 
 
-Lines = Callable[["Compared", "Judgement", np.ndarray, str], list[Piece]]
+Lines = Callable[[Compared, Judgement, np.ndarray, str], list[Piece]]
 """Of a comparison, one family of one recording, which of its statistics were found, and `Family.time`."""
 Called = Callable[[int], tuple[str, str]]
 """What the statistic at an index is called, and which it is."""

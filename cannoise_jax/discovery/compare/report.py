@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Array, Key
 
-from cannoise_jax.discovery.compare.run import Compared, compare_bank
+from cannoise_jax.discovery.compare.compared import Compared
+from cannoise_jax.discovery.compare.run import compare_bank
 from cannoise_jax.discovery.compare.score import Better, scores
 from cannoise_jax.discovery.compare.table import Difference, differences
 from cannoise_jax.discovery.compare.words import pair, short

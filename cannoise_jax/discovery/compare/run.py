@@ -5,23 +5,16 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Float, Key
 
+from cannoise_jax.discovery.compare.compared import Compared, Measured, Seen, Statistics
 from cannoise_jax.discovery.compare.families import SHARED
-from cannoise_jax.discovery.compare.judge import Judgement, Peak, judge
+from cannoise_jax.discovery.compare.judge import judge
 from cannoise_jax.discovery.compare.lamp import steadied, without_wave
 from cannoise_jax.discovery.compare.light import Light, light_for
-from cannoise_jax.discovery.compare.measure import (
-    Measured,
-    Statistics,
-    is_coarse,
-    measure,
-    shared,
-    shared_variance,
-)
+from cannoise_jax.discovery.compare.measure import is_coarse, measure, shared, shared_variance
 from cannoise_jax.discovery.compare.sources import Source, open_source
 from cannoise_jax.discovery.compare.view import Raw, chosen_frames, noise_of, reduce, view
 from cannoise_jax.discovery.frames.calibrate import gain_groups
@@ -42,45 +35,6 @@ MOST_SETS = 4
 """Sets that are drawn at most: with four the draws add a quarter to the variance of a difference."""
 Chosen = list[tuple[list[int], list[int]]]
 """Of every recording the frames before those that are looked at, and these."""
-
-
-class Seen(NamedTuple):
-    """What is kept of one recording for the report.
-
-    name, kind, exposure_s: of the recording; size, frames: its rows and columns, and how many.
-    sigma: the simulator's noise per site, DN; log_sigma: the mean of its logarithm over the pixels.
-    signal: mean above black, DN.
-    degree: of the surface that stands for the light, 0 where none does.
-    """
-
-    name: str
-    kind: str
-    sigma: Float[np.ndarray, "4"]
-    log_sigma: float
-    signal: float
-    size: tuple[int, int]
-    frames: int
-    exposure_s: float | None
-    degree: int
-
-
-class Compared(NamedTuple):
-    """The bank of the recordings and of every set of the simulator, by recording, and what was judged.
-
-    held_back: whether all frames were kept from whoever made the simulator.
-    """
-
-    label: str
-    camera: str
-    alpha: float
-    seen: dict[str, Seen]
-    recorded: dict[str, Measured]
-    simulated: dict[str, list[Measured]]
-    judgements: list[Judgement]
-    peaks: list[Peak]
-    sets: int
-    step: float
-    held_back: bool = False
 
 
 def compare_bank(
@@ -126,7 +80,7 @@ def compare_bank(
         more = spent * (total - ready) / ready if ready else 0.0
         left = f", some {more:.0f} s more" if more >= 1 else ""
         tell(f"compare: {Path(r.path or r.kind).name}, {number + 1} of {len(capture.recordings)}{left}")
-        return _one(source, number, r, chosen[number], count, step, isos[r.iso])
+        return _one(source, number, r, chosen[number], sets=count, step=step, iso=isos[r.iso])
 
     asked = [number for number, (_, frames) in enumerate(chosen) if frames]
     for number, done in zip(asked, each(one, asked), strict=True):
@@ -155,6 +109,7 @@ def _one(
     number: int,
     r: Recording,
     chosen: tuple[list[int], list[int]],
+    *,
     sets: int,
     step: float,
     iso: float,

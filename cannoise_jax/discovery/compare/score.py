@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import special, stats
 
+from cannoise_jax.discovery.compare.compared import Compared
 from cannoise_jax.discovery.compare.families import STATIC, STRUCTURE, TEMPORAL, of
 from cannoise_jax.discovery.compare.measure import of_sets
-from cannoise_jax.discovery.compare.run import Compared
 from cannoise_jax.discovery.frames.splits import split_frames
 
 

@@ -15,10 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from cannoise_jax.discovery.compare import pieces
+from cannoise_jax.discovery.compare.compared import Compared, Judgement
 from cannoise_jax.discovery.compare.families import FAMILIES
-from cannoise_jax.discovery.compare.judge import Judgement
 from cannoise_jax.discovery.compare.pieces import Piece
-from cannoise_jax.discovery.compare.run import Compared
 from cannoise_jax.recordings.recording import DARK
 
 

@@ -12,15 +12,13 @@ import numpy as np
 from jaxtyping import Float
 
 from cannoise_jax.discovery.frames.contrasts import Stack, robust_mean
-from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.robust import NOISE_OF_MEDIAN, robust_std
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK, Recording
 
 _LONGER, _SHORT_S = 10.0, 0.1
 """Exposure of a dark, over that of a flat, and in seconds, up to which what it collected is taken to be small
 beside offsets."""
-_MEDIAN = 1.57
-"""Variance of a median of normal values over that of their mean."""
 _TOLD = 0.5
 """Share of the variance of lines that must be no chance."""
 
@@ -58,7 +56,7 @@ def lines_of(dark: Stack) -> Float[np.ndarray, "h w"] | None:
         for axis in (1, 0):
             offsets = np.median(left, axis)
             moving = [np.var(np.median(c[at], axis)) for c in dark.contrasts]
-            chance = _MEDIAN * robust_std(left, 0) ** 2 / left.shape[axis]
+            chance = NOISE_OF_MEDIAN * robust_std(left, 0) ** 2 / left.shape[axis]
             chance += float(np.mean(moving)) / dark.frames
             share = 1 - chance / max(float(np.var(offsets)), 1e-30)
             if share < _TOLD:

@@ -18,8 +18,9 @@ from types import MappingProxyType
 import numpy as np
 from jaxtyping import Array, Key
 
+from cannoise_jax.discovery.compare.compared import Compared
 from cannoise_jax.discovery.compare.families import SPARSITY, TEMPORAL, of
-from cannoise_jax.discovery.compare.run import Compared, compare_bank
+from cannoise_jax.discovery.compare.run import compare_bank
 from cannoise_jax.discovery.compare.sources import Source, modelled, shaded
 from cannoise_jax.discovery.compare.table import differences, lines_of
 from cannoise_jax.discovery.proof.check import frames_for_names
@@ -104,6 +105,7 @@ def doubts(
     splits: list[tuple[list[int], list[int]]],
     steps: tuple[Step, ...],
     of: Callable[..., SensorModel],
+    *,
     key: Key[Array, ""],
     alpha: float,
     confirmed: Sequence[bool],

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+from cannoise_jax.discovery.compare.compared import Compared
 from cannoise_jax.discovery.compare.families import (
     IN_ONE_FRAME,
     LEVELS,
@@ -20,7 +21,6 @@ from cannoise_jax.discovery.compare.families import (
 )
 from cannoise_jax.discovery.compare.measure import of_sets
 from cannoise_jax.discovery.compare.moves import LINE_LAGS
-from cannoise_jax.discovery.compare.run import Compared
 from cannoise_jax.discovery.compare.table import lines_of
 from cannoise_jax.discovery.proof.own_part import Borne, drawn_structures, own_part
 from cannoise_jax.discovery.search.fit import Step

@@ -165,6 +165,7 @@ def remaining(
     gated: Gated,
     panel: Panel,
     sides: Sides,
+    *,
     described: tuple[Step, ...],
     sure: tuple[Step, ...],
     with_rest: Callable[[SensorModel], SensorModel],

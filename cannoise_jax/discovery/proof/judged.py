@@ -65,8 +65,9 @@ class Judged:
         """The simulator before and after, as draws. less: whether `own` lacks what it had too much of."""
         if self.handed is not None and self.drawn is not None:
             return handed_simulators(
-                self.capture, first, steps, own, self.handed, self.drawn, self.given, less
-            )
+                self.capture, first, steps, own,
+                handed=self.handed, drawn=self.drawn, given=self.given, less=less,
+            )  # fmt: skip
         stated = stated_parameters(self.capture, first.baselines) if self.stated else None
         return simulators(self.capture, first, steps, stated)
 

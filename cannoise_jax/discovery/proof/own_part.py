@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import stats
 
+from cannoise_jax.discovery.compare.compared import Compared, Judgement, Statistics
 from cannoise_jax.discovery.compare.families import (
     FAMILIES,
     IN_ONE_FRAME,
@@ -21,9 +22,6 @@ from cannoise_jax.discovery.compare.families import (
     UNSTEADY,
     of,
 )
-from cannoise_jax.discovery.compare.judge import Judgement
-from cannoise_jax.discovery.compare.measure import Statistics
-from cannoise_jax.discovery.compare.run import Compared
 from cannoise_jax.signatures import bank
 from cannoise_jax.signatures.laws import FARTHEST
 

@@ -47,8 +47,13 @@ class Sides(NamedTuple):
     model: SensorModel | None
     bare: SensorModel
     of: Callable[..., SensorModel]
-    level: Callable[[SensorModel], SensorModel] = lambda model: model
-    lowered: bool = False
+    level: Callable[[SensorModel], SensorModel]
+    lowered: bool
+
+
+def as_it_is(model: SensorModel) -> SensorModel:
+    """The model with the levels that it has."""
+    return model
 
 
 def of_model(model: SensorModel) -> Drawings:
@@ -67,7 +72,10 @@ def simulators(
     extended = of_model(model) if steps else None
     calibrated = stated is None
     control = of_model(bare)
-    return Sides(of_model(plain), extended, (), control, model, True, calibrated, plain, bare, of, level)
+    return Sides(
+        plain=of_model(plain), extended=extended, less=(), control=control, exported=model,
+        likelihood=True, calibrated=calibrated, model=plain, bare=bare, of=of, level=level, lowered=False,
+    )  # fmt: skip
 
 
 def handed_simulators(
@@ -75,6 +83,7 @@ def handed_simulators(
     first: Prepared,
     steps: tuple[Step, ...],
     own: tuple[Step, ...],
+    *,
     handed: Simulator,
     drawn: CaptureSet,
     given: SensorModel | None,
@@ -92,7 +101,8 @@ def handed_simulators(
         changed = bool(steps) or judged is not handed.model
         extended = of_model(model) if changed else None
         return Sides(
-            of_model(judged), extended, (), control, model, True, False, judged, bare, of,
+            plain=of_model(judged), extended=extended, less=(), control=control, exported=model,
+            likelihood=True, calibrated=False, model=judged, bare=bare, of=of, level=as_it_is,
             lowered=given is not None,
         )  # fmt: skip
 
@@ -112,7 +122,11 @@ def handed_simulators(
     each = tuple(of_model(without(gone)) for gone in steps)
     exported = beside_own(steps)
     extended = of_model(exported) if steps or less else None
-    return Sides(plain, extended, each, control, exported, False, False, None, bare, beside_own)
+    return Sides(
+        plain=plain, extended=extended, less=each, control=control, exported=exported,
+        likelihood=False, calibrated=False, model=None, bare=bare, of=beside_own, level=as_it_is,
+        lowered=False,
+    )  # fmt: skip
 
 
 def as_stated(model: SensorModel, stated: SensorModel, kind: str) -> SensorModel:

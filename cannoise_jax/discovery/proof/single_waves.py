@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cannoise_jax.discovery.compare.run import Compared
+from cannoise_jax.discovery.compare.compared import Compared
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
 from cannoise_jax.recordings.recording import DARK

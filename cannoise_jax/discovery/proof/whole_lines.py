@@ -22,6 +22,7 @@ from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
 from cannoise_jax.signatures.fields import Fields
 
 _PARTS = 4
+"""Quarters: six pairs of parts, of which three are neighbours."""
 _SHARED = 0.25
 """Of what pairs of quarters have in common on average, below which a typical pair has next to nothing."""
 _CHANCE = 1e-6

@@ -99,6 +99,7 @@ def stepwise(
     signatures: tuple[Signature, ...],
     allowed: frozenset[str],
     log_alpha: float,
+    *,
     tell: Callable[[str], None] = lambda text: None,
     every: Callable[[], tuple[Fields, ...]] | None = None,
     located: Located | None = None,
@@ -127,7 +128,10 @@ def stepwise(
             late = None
             if every and len(steps) < MOST_STEPS:
                 active = _active(signatures, steps, given_up)
-                late = second_look(steps, last, every, active, allowed, first.tests, log_alpha, tell)
+                late = second_look(
+                    steps, last, every, active,
+                    allowed=allowed, tests=first.tests, log_alpha=log_alpha, tell=tell,
+                )  # fmt: skip
             if late is None:
                 charged = (s if s.late else s._replace(log_p=charge(s.log_p, share)) for s in final)
                 return Fitted(tuple(s._replace(left=fields) for s in charged), fields, last, first)
@@ -179,6 +183,7 @@ def second_look(
     last: Located,
     every: Callable[[], tuple[Fields, ...]],
     signatures: tuple[Signature, ...],
+    *,
     allowed: frozenset[str],
     tests: float,
     log_alpha: float,

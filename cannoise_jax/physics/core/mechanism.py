@@ -185,6 +185,8 @@ class Mechanism:
     needs: data kinds that identify it, of "pair", "pair_independent", "burst", "dark", "flat", "iso",
       "exposure", "temperature". confused_with: ids. equation: LaTeX without dollar signs.
     home: "module:NAME" of the entries that hold it, where it is none of the package's; stored models say it.
+
+    Raises ValueError where the scaling law has no parameter to multiply: it would do nothing.
     """
 
     id: str
@@ -204,6 +206,15 @@ class Mechanism:
     scaling: Scaling = field(default_factory=Scaling)
     scales: str | None = None
     home: str = ""
+
+    def __post_init__(self) -> None:
+        law = self.scaling
+        if self.scales is not None or not isinstance(law, Scaling):
+            return
+        if law.gain or law.exposure or law.doubling_c is not None:
+            raise ValueError(
+                f"{self.id}: has a scaling law: name in `scales` the parameter that it multiplies"
+            )
 
     @property
     def stage(self) -> Stage:

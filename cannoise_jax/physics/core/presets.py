@@ -88,6 +88,7 @@ def read_table(name: str) -> dict[str, Any]:
 
 
 _CODE_STEP = 1.0
+"""DN: the tables are of stored codes."""
 _ROWS = ("iso", "gain", "read", "row", "lambda", "drift", "channel_offset")
 
 _SWITCHES = {"sony_a7s2": 2000.0}

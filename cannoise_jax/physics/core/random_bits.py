@@ -16,7 +16,8 @@ from jaxtyping import Array, Key, UInt32
 
 _ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 _PARITY = np.uint32(0x1BD11BDA)
-"""Of Threefry-2x32 (Salmon, Moraes, Dror & Shaw, Parallel random numbers: as easy as 1, 2, 3, SC 2011)."""
+"""Bits that rounds turn by, and the word that extends the key, of Threefry-2x32
+(Salmon, Moraes, Dror & Shaw, Parallel random numbers: as easy as 1, 2, 3, SC 2011)."""
 _DOMAIN = np.uint32(0x63616E6E)
 """High word of every counter: `jax.random` counts there from zero, so that no draw repeats one of its."""
 

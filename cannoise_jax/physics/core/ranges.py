@@ -66,7 +66,9 @@ def not_held(value: Any) -> str:
     return "not a finite number"
 
 
-def check_baseline(iso, gain_dn_per_e, read_noise_e, black_level, white_level, code_step, cfa: str) -> None:
+def check_baseline(
+    *, iso, gain_dn_per_e, read_noise_e, black_level, white_level, code_step, cfa: str
+) -> None:
     """The baseline: an RGB Bayer pattern or MONO, ISOs that ascend from above 0, gains above 0 by which one
     electron does not saturate, read noises from 0, black below white below 2^16, a code step from 0 (none) to
     below white, that leaves shades where it is above 1."""

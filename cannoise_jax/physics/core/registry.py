@@ -6,6 +6,7 @@ import functools
 from collections.abc import Mapping
 
 from cannoise_jax.physics.core.grammar import TIMES
+from cannoise_jax.physics.core.home import records
 from cannoise_jax.physics.core.mechanism import ACTS_ON, STAGES, Mechanism
 from cannoise_jax.physics.core.places import SITES
 
@@ -13,10 +14,7 @@ from cannoise_jax.physics.core.places import SITES
 @functools.cache
 def packaged() -> Mapping[str, Mechanism]:
     """The mechanisms of the package by id, in the order of the signal chain."""
-    # The one place where the core looks up, and late: they are built from it.
-    from cannoise_jax.mechanisms import RECORDS
-
-    return RECORDS
+    return records()
 
 
 def mechanism(id: str) -> Mechanism:

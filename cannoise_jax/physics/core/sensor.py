@@ -84,7 +84,10 @@ class SensorModel:
         unit_key: default the key of 0. Numbers may be traced. Raises ValueError for counts that do not match
         and for what `ranges.check_baseline` and `ranges.check_read_noise` refuse.
         """
-        ranges.check_baseline(iso, gain_dn_per_e, read_noise_e, black_level, white_level, code_step, cfa)
+        ranges.check_baseline(
+            iso=iso, gain_dn_per_e=gain_dn_per_e, read_noise_e=read_noise_e,
+            black_level=black_level, white_level=white_level, code_step=code_step, cfa=cfa,
+        )  # fmt: skip
         isos = _array(iso).reshape(-1)
 
         def table(values) -> Numbers:

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, UInt16
 
+from cannoise_jax.physics.core.camera import Camera
 from cannoise_jax.physics.core.chain import closed_form, maps_of, run_chain, to_codes
 from cannoise_jax.physics.core.mechanism import Context
 from cannoise_jax.physics.core.settings import Settings, context_of, resolve
 
-if TYPE_CHECKING:
-    from cannoise_jax.physics.core.sensor import SensorModel
-
 
 @jax.jit
 def closed_moments(
-    model: SensorModel, clean: Float[Array, "h w"], settings: Settings
+    model: Camera, clean: Float[Array, "h w"], settings: Settings
 ) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
     """Mean (DN) and temporal variance (DN^2) before rounding and clipping, see `chain.closed_form`. Compiled
     once for models of the same mechanisms."""
@@ -30,7 +27,7 @@ def closed_moments(
 
 
 @partial(jax.jit, static_argnames="size")
-def draw_maps(model: SensorModel, setting: tuple, size: tuple[int, int]) -> tuple[dict[str, Array], ...]:
+def draw_maps(model: Camera, setting: tuple, size: tuple[int, int]) -> tuple[dict[str, Array], ...]:
     """The frozen maps of every mechanism, measured or drawn."""
     context = context_of(model, jnp.zeros((1, *size)), Settings(*setting))
     values = resolve(model, context)
@@ -38,13 +35,13 @@ def draw_maps(model: SensorModel, setting: tuple, size: tuple[int, int]) -> tupl
 
 
 @partial(jax.jit, static_argnames="frames")
-def sample_codes(model: SensorModel, key, clean, setting: tuple, frames: int) -> UInt16[Array, "t h w"]:
+def sample_codes(model: Camera, key, clean, setting: tuple, frames: int) -> UInt16[Array, "t h w"]:
     """Frames in one program."""
     return sample_digital(model, key, clean, setting, sample_analogue(model, key, clean, setting, frames))
 
 
 @partial(jax.jit, static_argnames="frames")
-def sample_analogue(model: SensorModel, key, clean, setting: tuple, frames: int) -> tuple[Array, Array]:
+def sample_analogue(model: Camera, key, clean, setting: tuple, frames: int) -> tuple[Array, Array]:
     """Frames in DN just before rounding, and the code step."""
     context = _context_of(model, clean, setting, frames)
     return run_chain(model, key, context, resolve(model, context), frames)
@@ -52,14 +49,14 @@ def sample_analogue(model: SensorModel, key, clean, setting: tuple, frames: int)
 
 @jax.jit
 def sample_digital(
-    model: SensorModel, key, clean, setting: tuple, analogue: tuple[Array, Array]
+    model: Camera, key, clean, setting: tuple, analogue: tuple[Array, Array]
 ) -> UInt16[Array, "t h w"]:
     """The codes of frames in DN: what acts on codes, rounding and the rails."""
     context = _context_of(model, clean, setting, len(analogue[0]))
     return to_codes(model, key, *analogue, context, resolve(model, context)).astype(jnp.uint16)
 
 
-def _context_of(model: SensorModel, clean, setting: tuple, frames: int) -> Context:
+def _context_of(model: Camera, clean, setting: tuple, frames: int) -> Context:
     return context_of(
         model, jnp.asarray(clean, jnp.float32)[None], Settings(setting[0], setting[1], setting[2], frames)
     )

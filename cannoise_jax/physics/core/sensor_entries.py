@@ -8,22 +8,21 @@ from __future__ import annotations
 import dataclasses
 import reprlib
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from cannoise_jax.physics.core import registry
+from cannoise_jax.physics.core.camera import Camera
 from cannoise_jax.physics.core.grammar import Point, bare
 from cannoise_jax.physics.core.mechanism import HasRecord, Mechanism, Scaling
 from cannoise_jax.physics.core.ranges import LARGEST, check_point, is_whole, not_held
 from cannoise_jax.physics.core.settings import IsoTable
 from cannoise_jax.recordings.recording import per_channel
 
-if TYPE_CHECKING:
-    from cannoise_jax.physics.core.sensor import SensorModel
-
+Model = TypeVar("Model", bound=Camera)
 IMPLEMENTATION = "threefry2x32"
 _KEY_WORDS = {IMPLEMENTATION: 2, "rbg": 4, "unsafe_rbg": 4}
 _MAY_BE_NULL = ("doubling_c", "reference_iso", "reference_temperature_c")
@@ -40,11 +39,11 @@ class Foreign(ValueError):
 
 
 def model_of(
-    baseline: Callable[..., SensorModel],
+    baseline: Callable[..., Model],
     document: Mapping[str, Any],
     maps: Mapping[str, np.ndarray],
     mechanisms: Sequence[HasRecord] = (),
-) -> SensorModel:
+) -> Model:
     """The model of a document as `sensor_json.sensor_document` makes it, begun by `baseline`, which is
     `SensorModel.poisson_gaussian`; maps: by the names it gives them; mechanisms: those from outside the
     package. Raises Foreign where one is not given."""
@@ -193,12 +192,12 @@ def _record(id: str, point: Point | None, known: Mapping[str, Mechanism], home: 
 
 
 def _with_entry(
-    model: SensorModel,
+    model: Model,
     entry: dict[str, Any],
     number: int,
     maps: Mapping[str, np.ndarray],
     known: Mapping[str, Mechanism],
-) -> SensorModel:
+) -> Model:
     id = entry_of(entry, "mechanism", str, f"mechanisms {number}: ")
     parameters = {
         name: _parameter(v, f"{id}: {name}")

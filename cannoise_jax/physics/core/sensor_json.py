@@ -17,21 +17,19 @@ import json
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import numpy as np
 
 from cannoise_jax.physics.core import registry
+from cannoise_jax.physics.core.camera import Camera
 from cannoise_jax.physics.core.mechanism import HasRecord, Scaling
-from cannoise_jax.physics.core.sensor_entries import IMPLEMENTATION, Foreign, entry_of, model_of
+from cannoise_jax.physics.core.sensor_entries import IMPLEMENTATION, Foreign, Model, entry_of, model_of
 from cannoise_jax.physics.core.settings import IsoTable, black_levels
 from cannoise_jax.recordings.atomic import remove_leftovers
 from cannoise_jax.recordings.opened import BROKEN_ARRAYS, check_plain, json_of
 from cannoise_jax.recordings.recording import BadInput
-
-if TYPE_CHECKING:
-    from cannoise_jax.physics.core.sensor import SensorModel
 
 SCHEMA = "cannoise/sensor/1"
 _LONGEST_NAME = 255
@@ -50,7 +48,7 @@ class MissingEntry(BadInput):
         return BadInput(f"{self._said}, and {by} takes those of the package alone: name a model of these")
 
 
-def write_sensor(path: str | Path, model: SensorModel) -> None:
+def write_sensor(path: str | Path, model: Camera) -> None:
     """Writes `path` and, where maps were measured, an `.npz` of the same stem, each atomically; that of the
     model before goes where there are none now.
 
@@ -145,7 +143,7 @@ def _not_in_place(npz: Path, wanted: str) -> bytes:
     return b""
 
 
-def sensor_document(model: SensorModel) -> dict[str, Any]:
+def sensor_document(model: Camera) -> dict[str, Any]:
     """The model as plain JSON values; of the maps only the names."""
     table = (model.iso, model.gain_dn_per_e, model.read_noise_e, model.black_beyond)
     rows = zip(*map(np.asarray, table), strict=True)
@@ -207,9 +205,7 @@ def _mechanism(index: int, fitted) -> dict[str, Any]:
     return entry
 
 
-def read_model(
-    baseline: Callable[..., SensorModel], path: str | Path, mechanisms: Sequence[HasRecord]
-) -> SensorModel:
+def read_model(baseline: Callable[..., Model], path: str | Path, mechanisms: Sequence[HasRecord]) -> Model:
     """What `SensorModel.load` returns. baseline: see `model_of`."""
     if not isinstance(path, str | Path):
         raise BadInput(f"path is of type {type(path).__name__}: give the name of a sensor.json")

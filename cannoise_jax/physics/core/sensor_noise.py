@@ -39,7 +39,7 @@ def analogue_at_level(model: Any, key, clean, shot, read) -> Float[Array, "b h w
     return run_chain(own, key, context, resolve(own, context), mosaic.shape[0])[0]
 
 
-def noise_of_analogue(model: Any, last: Any, key, clean, shot, read, analogue) -> Float[Array, "b h w 4"]:
+def noise_of_analogue(model: Any, last: Any, key, clean, shot, read, *, analogue) -> Float[Array, "b h w 4"]:
     """The second half of `noise_at_level`: the noise of values that are analogue, as codes show it.
 
     last: the model with the last mechanisms of the analogue signal alone, where the first half lacked them.

@@ -21,6 +21,7 @@ Values = Real | Float[np.ndarray, "..."] | float
 """Arrays or numbers that broadcast to the pixels."""
 
 _LOG_SQRT_2PI = 0.9189385332046727
+"""log sqrt(2 pi), of the normal density."""
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
 """Gauss-Legendre rule over a narrow bin."""
 

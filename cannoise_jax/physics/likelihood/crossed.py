@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 from cannoise_jax.physics.likelihood.codes import UNIT_STEP, CodeGrid, gaussian_log_prob
 
 _LOG_2PI = 1.8378770664093453
+"""log(2 pi), of the normal density."""
 
 
 class SharedTerms(NamedTuple):

@@ -160,7 +160,7 @@ def stored_drawn(
     noise_key, stripe_key = jax.random.split(key)
 
     def of_one(key, image, analogue):
-        return noise_of_analogue(sensor, last, key, image[None], *levels, analogue[None])[0]
+        return noise_of_analogue(sensor, last, key, image[None], *levels, analogue=analogue[None])[0]
 
     noise = jax.vmap(of_one)(jax.random.split(noise_key, clean.shape[0]), clean, analogue)
     draw, bright = sensor.n_init(), 0.2

@@ -155,7 +155,7 @@ def virtual_patches(
             span = camera.white_level - camera.black_level
             noisy = (taken[0].astype(np.float32) - camera.black_level) / np.float32(span)
             number = s * len(SPLITS) + SPLITS.index(split)
-            parts.append(_patches(camera, c, iso, number, expected, noisy, side))
+            parts.append(_patches(camera, c, iso, number, clean=expected, noisy=noisy, side=side))
     return VirtualPatches(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
@@ -163,6 +163,7 @@ def _camera(
     name: str,
     cfa: str,
     black: float,
+    *,
     unit: int,
     tail: float,
     offset: float,
@@ -222,7 +223,7 @@ def _denoised(sensor: SensorModel, clean: Float[Array, "h w"]) -> Float[Array, "
     return (alone.expected(clean) - black) / (sensor.white_level - black)
 
 
-def _patches(camera: VirtualCamera, index: int, iso: int, scene: int, clean, noisy, side: int):
+def _patches(camera: VirtualCamera, index: int, iso: int, scene: int, *, clean, noisy, side: int):
     def cut(image):
         packed = pack(image, camera.cfa)
         size = packed.shape[0] // side

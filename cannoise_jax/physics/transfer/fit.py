@@ -36,7 +36,7 @@ noisy, moved by less than 1e-10 of their standard error; at the second by up to 
 _LEAST_SLOPE = 1e-9
 """DN/e-, of a camera whose noise does not grow with the light."""
 HALF_A_CODE = 3.0
-"""Its square in units of the variance that rounding adds."""
+"""Its square in units of the variance that rounding adds: 1/4 over 1/12."""
 _APART = 0.2
 """Of the median distance from the darkest class, from which on another one is far from it."""
 _UNSURE = 0.3

@@ -176,9 +176,9 @@ def _channel_quantities(
     name: str, c: int, line: Line | NotMeasurable, statistics: Sequence[FrameStatistics],
     dark: FrameStatistics | None, black: Black,
 ) -> list[Quantity]:  # fmt: skip
-    series = series_of(c, line, statistics)
+    series, step = series_of(c, line, statistics), _code_step(statistics)
     return [
-        *noise_quantities(name, c, line, statistics, dark, _code_step(statistics), black, series),
+        *noise_quantities(name, c, line, statistics, dark, step=step, black=black, series=series),
         *pattern_quantities(name, c, line, statistics, dark, black.level),
         *dark_current_quantities(name, c, line, statistics, series),
         *saturation_quantities(name, c, line, statistics, black.level),

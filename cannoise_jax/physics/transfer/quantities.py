@@ -78,7 +78,7 @@ class Quantity:
 
 def noise_quantities(
     name: str, c: int, line: Line | NotMeasurable, statistics: Sequence[FrameStatistics],
-    dark: FrameStatistics | None, step: float, black: Black, series: Series | NotMeasurable,
+    dark: FrameStatistics | None, *, step: float, black: Black, series: Series | NotMeasurable,
 ) -> list[Quantity]:  # fmt: skip
     """Black level, gain, and temporal noise in the dark."""
     out: list[Quantity] = []

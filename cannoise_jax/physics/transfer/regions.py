@@ -21,7 +21,7 @@ two amplifiers of one frame by twice to four times."""
 _SIGMAS = 6.0
 """Standard errors by which they have to differ beyond that."""
 _OF_MEDIAN = 0.6
-"""What the median of a mean square is worth of its mean."""
+"""What the median of a mean square is worth of its mean: 2 / pi, 0.64, of many normal values."""
 _BESIDE = 8
 """Columns, or rows, of one colour on either side of the middle that tell a step there."""
 _DEGREE = 4

@@ -23,11 +23,14 @@ _ALIKE = 0.02
 _GROWS = 0.1
 """Of what dark charge should grow by, that which it grows by at most where an exposure is wrong."""
 _KELVIN = 1.0
+"""By which two darks may differ to be compared: their charge does so by a tenth then, where it doubles
+every 7 K."""
 _ABOVE = 5.0
 """Times what the pixels of a flat differ by, which a dark is brighter: an offset that drifts is less."""
 _SURE, _FEWEST = 10.0, 20
 """Standard errors that the charge of a hot pixel lies above none, and how many have to."""
 _CLIPPED = 0.01
+"""Share of its pixels at a rail from which on a flat is none that tells its light."""
 _BY_CHANCE, _FRAMES, _OF_FLATS = 1e-5, 4, 0.005
 """Chance of a slope of the levels of a dark over its frames, how many it takes, and the share of the signal
 of the dimmest flat by which they have to move: the gain may be off by as much."""
@@ -182,7 +185,7 @@ def _charge(short: FrameStatistics, long: FrameStatistics, zero: FrameStatistics
     one, two = (s.mean - zero.mean for s in (short, long))
     one, two = (v - float(np.median(v[used])) for v in (one, two)) if used.any() else (one, two)
     both = (one + two) / 2
-    noise = 1.4826 * float(np.median(np.abs(both[used]))) if used.any() else 0.0
+    noise = robust_std(both[used], 0.0) if used.any() else 0.0
     hot = used & (both > _SURE * max(noise, 0.1))
     if hot.sum() < _FEWEST or np.median(one[hot]) <= 0:
         return None

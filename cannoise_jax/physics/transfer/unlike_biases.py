@@ -25,6 +25,7 @@ of it. Of the biases and shortest darks of three real cameras it is 0.04 at most
 _LEVEL = 2.0
 """Noises of a pixel from which the level is another: black that moves with the exposure does so by less."""
 _SIGMAS = 6.0
+"""Standard errors by which noise or level must differ: of a normal law once in 500 million."""
 _SYSTEMATIC = 0.03
 """Relative error of a variance besides chance: the usual pixel of a skew law moves with it."""
 

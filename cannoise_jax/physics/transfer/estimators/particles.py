@@ -13,6 +13,7 @@ from cannoise_jax.physics.transfer.frames import FrameStatistics
 _LONG = NotMeasurable("record at least 2 darks of one known exposure, tens of seconds, better 10")
 _NONE = NotMeasurable("no particle hits show in the darks", answered=True)
 _MEGAPIXEL = 1e6
+"""Pixels that rates are quoted for."""
 
 
 def cosmic_rays(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:

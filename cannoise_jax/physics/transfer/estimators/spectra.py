@@ -34,8 +34,11 @@ from cannoise_jax.recordings.metadata import chunks
 
 _MOST_ROWS = 512  # rows that the covariance of row_pink_noise is built for
 _EXPONENTS = np.linspace(0.0, 2.0, 41)
+"""Exponents of 1/f noise that are tried, white to Brownian, between which the likelihood is interpolated."""
 _STRENGTHS = np.concatenate([[0.0], np.geomspace(1e-3, 10.0, 200)])  # in units of the total rms
 _DROP = float(stats.chi2.ppf(0.9, 1)) / 2
+"""Nats by which a log-likelihood falls at the ends of an interval of 90 % (Wilks, Ann. Math. Stat. 9,
+60, 1938)."""
 _BY_CHANCE = 0.05
 """Chance of the largest line by noise alone above which its frequency is any: then the interval is all of
 them."""
