@@ -9,7 +9,6 @@ import jax.numpy as jnp
 
 from cannoise_jax.mechanisms import imprints, looks
 from cannoise_jax.mechanisms.dark_laws import (
-    DOUBLING_C,
     THERMAL,
     VARIATION,
     WIDENHORN,
@@ -22,7 +21,14 @@ from cannoise_jax.mechanisms.dark_laws import (
 from cannoise_jax.mechanisms.entry import LONG, SERIES, Case, Entry, Examples
 from cannoise_jax.physics.core import fields
 from cannoise_jax.physics.core.grammar import Point
-from cannoise_jax.physics.core.mechanism import Context, Effect, Mechanism, Parameter, Scaling
+from cannoise_jax.physics.core.mechanism import (
+    DOUBLING_C,
+    Context,
+    Effect,
+    Mechanism,
+    Parameter,
+    Scaling,
+)
 from cannoise_jax.physics.core.poisson_gaussian import sample_normal, sample_poisson
 from cannoise_jax.physics.transfer import maps as measured
 from cannoise_jax.physics.transfer.estimator import Estimator

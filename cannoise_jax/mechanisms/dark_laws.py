@@ -5,11 +5,9 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from cannoise_jax.physics.core.mechanism import Context, Effect, Parameter, Scaling
+from cannoise_jax.physics.core.mechanism import DOUBLING_C, Context, Effect, Parameter, Scaling
 from cannoise_jax.physics.core.poisson_gaussian import sample_normal
 
-DOUBLING_C = 7.0
-"""Kelvin per doubling of the dark current: 6 to 8 K for silicon near room temperature."""
 THERMAL = Scaling(exposure=1.0, doubling_c=DOUBLING_C)
 """Charge that gathers all the time, faster where it is warm."""
 WIDENHORN = "Widenhorn et al., Temperature dependence of dark current in a CCD, Proc. SPIE 4669 (2002)"

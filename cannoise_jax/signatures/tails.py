@@ -5,9 +5,9 @@ out, a hot pixel, one that a particle hit or one that does not respond, tells be
 profile on one side is held against that on the other, less the same of the lines beside it, in units of its
 own height. Whatever spreads charge evenly (coupling, diffusion), and what lies near by chance, hits both
 sides alike, so that the sign of such a difference is a toss of a coin: a sum of odd functions of them over
-its own root mean square exceeds a limit less often than 3.18 times as often as a normal value does (Pinelis,
-Extremal probabilistic problems and Hotelling's T2 test under a symmetry condition, Ann. Stat. 22, 357
-(1994)), whatever the law of the differences and however few they are.
+its own root mean square exceeds a limit less often than 3.18 times as often as a normal value does (Bentkus
+and Dzindzalieta, A tight Gaussian bound for weighted sums of Rademacher random variables, Bernoulli 21, 1231
+(2015)), whatever the law of the differences and however few they are.
 
 Pixels that stand out and always have a weaker one on the same side would look the same: but no more than a
 few of all do, and the shot noise of flats, which passes the same traps, is then not alike along the lines.
@@ -47,7 +47,7 @@ _MOST_LEFT = 0.45
 """Share left behind beyond which the tail is no smaller than what it is of."""
 _BOUND = 3.18
 """By which the bound is above the chance of a normal value, 1 / (4 P(Z > sqrt 2)): no smaller factor holds
-for all sums of random signs (Bentkus and Dzindzalieta, Bernoulli 21, 1205 (2015))."""
+for all sums of random signs (Bentkus and Dzindzalieta, Bernoulli 21, 1231 (2015))."""
 _ODD = 4.0
 """Standard deviations beyond which a difference is another one's: it counts for nothing."""
 _TYPICAL = 0.3

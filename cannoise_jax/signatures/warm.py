@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import stats
 
+from cannoise_jax.physics.core.mechanism import DOUBLING_C
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.fields import Fields, channel_index
@@ -25,8 +26,6 @@ from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.score import LEAST_LOG_P, Score, chi2_log_sf
 from cannoise_jax.signatures.signature import CONTRASTS, ONE_FACTOR, STATIC, Axes, Signature
 
-DOUBLING_K = 6.3
-"""Kelvin over which the dark current of silicon doubles near room temperature."""
 _FAR, _SURELY = 8.0, 3.0
 """Standard deviations beyond which a value is no part of the noise, and from which on a map shows."""
 
@@ -282,7 +281,7 @@ def warm_score(fields: tuple[Fields, ...]) -> Score[Heat | None] | None:
     if heat is None and not by_offset:
         return None
     both = min(log_p, by_offset_p) + np.log(2)
-    kelvin = DOUBLING_K / np.log(2)
+    kelvin = DOUBLING_C / np.log(2)
     amplitude = float(relative * kelvin)
     shift = float(min(error, 10.0) * kelvin)
     return Score(

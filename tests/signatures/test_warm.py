@@ -35,7 +35,7 @@ def test_a_steady_rise_has_its_size_however_little_the_pixels_differ(spread):
     longest = splits_of(capture).frames[2][0]
     charge = 2 ** (RISE[longest] / 6.3)
     true = np.std(charge, ddof=1) / np.mean(charge)
-    change = found["warm"].amplitude / (warm.DOUBLING_K / np.log(2))
+    change = found["warm"].amplitude / (warm.DOUBLING_C / np.log(2))
     assert rejects(found["warm"]) and change == pytest.approx(true, rel=0.2 if spread > 0.05 else 0.4)
     left = warm.without_warmth(fields, found["warm"])
     again = signatures["warm"].score(left)

@@ -50,6 +50,10 @@ class Parameter(NamedTuple):
     absent: float | None = None
 
 
+DOUBLING_C = 7.0
+"""Kelvin per doubling of the dark current: 6 to 8 K for silicon near room temperature."""
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Scaling:
