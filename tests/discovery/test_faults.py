@@ -59,6 +59,26 @@ def test_darks_cut_off_at_zero_are_said_as_calibrating_refuses_them():
     assert "Dark.h5: darks are cut off at 0" in text.split("Gain and read noise")[0]
 
 
+def test_a_gain_is_not_measured_where_noise_does_not_grow_with_the_light():
+    """As of a bolometer: flats of three levels, all with the noise of the darks."""
+    rng, shots = np.random.default_rng(6), (("dark", 0.0), ("flat", 300.0), ("flat", 900.0), ("flat", 1800.0))
+    capture = CaptureSet(
+        "c",
+        tuple(
+            Recording(
+                np.rint(200 + light + 4 * rng.standard_normal((6, *SIZE))).astype(np.uint16),
+                "MONO", (200.0,) * 4, 4095.0, kind=kind, exposure_s=1.0, path=f"{n}.h5",
+            )
+            for n, (kind, light) in enumerate(shots)
+        ),
+    )  # fmt: skip
+    found = diagnose(capture, compare=False)
+    report = document(found, key=0, version="")
+    (base,) = report["baseline"]
+    assert not base["shot_noise"] and not base["gain_measured"] and base["read_noise_measured"]
+    assert "no shot noise" in page(found, report)
+
+
 def test_a_fault_names_its_setting_where_there_are_several():
     wrong = Faults(unlit="the light stops", moves="the scene moves")
     assert fault_lines({100.0: wrong, 400.0: Faults()}) == [

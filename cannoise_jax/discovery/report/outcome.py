@@ -43,9 +43,9 @@ def baseline(diagnosis: Result) -> list[dict[str, Any]]:
     """Gain (DN/e-), read noise (e-) and black level (DN) by mosaic site, of the simulator that is handed
     back, for every ISO that it has, and by how much the darks of each exposure lie beyond that and what was
     found (DN), where they do. shot_noise: whether noise grows with the light: where it does not, as a
-    bolometer's, gain and read noise in electrons are no measurements. gain_measured, read_noise_measured,
-    black_cut_off: see `Measured`. The ISO is None where no file states one, and not the stand-in by which a
-    camera model knows that gain."""
+    bolometer's, the gain is not measured, and read noise in electrons is none. gain_measured,
+    read_noise_measured, black_cut_off: see `Measured`. The ISO is None where no file states one, and not the
+    stand-in by which a camera model knows that gain."""
     model = diagnosis.model
     grows = {
         diagnosis.first.isos[b.iso]: bool(b.gain.sum() > _SURE * np.linalg.norm(b.gain_stderr))
@@ -54,14 +54,21 @@ def baseline(diagnosis: Result) -> list[dict[str, Any]]:
     gain, read, black = np.asarray(model.gain_dn_per_e), np.asarray(model.read_noise_e), black_levels(model)
     stated = {float(np.float32(number)): iso for iso, number in diagnosis.first.isos.items()}
     told = measured(diagnosis)
+    isos = np.asarray(model.iso).tolist()
+    known = [told.get(stated.get(iso, iso), Measured()) for iso in isos]
+    # Of a gain that was not measured nobody knows whether noise grows with the light.
+    shot = [
+        not seen.gain_measured or next((v for m, v in grows.items() if np.isclose(m, iso)), True)
+        for seen, iso in zip(known, isos, strict=True)
+    ]
     return [
         {
             "iso": stated.get(iso, iso),
-            **told.get(stated.get(iso, iso), Measured())._asdict(),
+            **known[n]._replace(gain_measured=known[n].gain_measured and shot[n])._asdict(),
             "gain_dn_per_e": gain[n],
             "read_noise_e": read[n],
             "read_noise_dn": gain[n] * read[n],
-            "shot_noise": next((known for number, known in grows.items() if np.isclose(number, iso)), True),
+            "shot_noise": shot[n],
             "black_dn": black[n],
             "black_beyond": [
                 {
@@ -72,7 +79,7 @@ def baseline(diagnosis: Result) -> list[dict[str, Any]]:
                 if f.record is PEDESTAL
             ],
         }
-        for n, iso in enumerate(np.asarray(model.iso).tolist())
+        for n, iso in enumerate(isos)
     ]
 
 
