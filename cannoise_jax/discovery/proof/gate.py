@@ -39,9 +39,11 @@ from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.signatures.fields import stratum
 
-OF_GAIN = 0.01
+OF_GAIN, OF_LITTLE, LITTLE = 0.01, 0.1, 1e-3
 """Share of what the findings gain in the composite score that the remainder beside them may cost, where the
-draws come nearer by all that a classifier sees."""
+draws come nearer by all that a classifier sees: a hundredth, and a tenth of what is below so many nats a
+pixel. Beside the findings of a CMOS camera of less than a code of noise, 0.0047 nats a pixel, it cost 0.0003
+and took 0.096 off the two-sample area."""
 
 
 WORTH_ALL = 0.05
@@ -202,7 +204,9 @@ def remaining(
         looked = panel.look(of_model(candidate), number)
         tried = _tried(what, some, panel, gated.after, looked)
         if some:
-            tried = tried._replace(least=max(LEAST_GAIN, OF_GAIN * _gained(spare)))
+            gained = _gained(spare)
+            least = max(LEAST_GAIN, OF_GAIN * gained, min(OF_LITTLE * gained, LITTLE))
+            tried = tried._replace(least=least)
         nearer = tried.nearer or (len(some) == len(gated.steps) and not _farther(tried))
         enters = tried.better and nearer and (tried.scored or _surely(tried))
         if gated.steps and not some:
