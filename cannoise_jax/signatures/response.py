@@ -156,7 +156,6 @@ def response_score(
         power=1,
         parameters={"curvature": (float(loss), "1", float(error))},
         where={"axis": "signal", "range": [0.0, float(high)]},
-        payload=span,
     )
 
 
@@ -173,11 +172,15 @@ def _means(levels: Sequence[Level]) -> list[tuple[int, float]]:
 def _rates(
     points: Sequence[tuple[int, int, float]], seconds: dict[int, float | None], loss: float, span: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """For every flat, its channels averaged, for they share its lamp: the arguments of `by_mean`."""
-    flats = sorted({(n, r) for n, r, _ in points})
+    """For every flat that shows as many channels as any, these averaged, for they share its lamp: the
+    arguments of `by_mean`."""
+    signals: dict[tuple[int, int], list[float]] = {}
+    for n, r, s in points:
+        signals.setdefault((n, r), []).append(s)
+    flats = sorted(k for k, own in signals.items() if len(own) == max(map(len, signals.values())))
     rate, bend = [], []
     for flat in flats:
-        signal = np.array([s for n, r, s in points if (n, r) == flat])
+        signal = np.array(signals[flat])
         rate.append(float(np.mean(np.log(signal / float(seconds[flat[1]] or 1.0)))))
         x = linear_signal(signal, loss, span) / span
         bend.append(float(np.mean(np.log1p(-loss * x) / loss if abs(loss) > 1e-9 else -x)))

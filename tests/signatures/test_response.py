@@ -95,6 +95,18 @@ def test_a_lamp_or_a_variance_that_bends_by_itself_is_none():
     assert score_of(recorded(rng, light=LIGHT * (1 - 0.1 * LIGHT / SPAN))).gain < 4
 
 
+def test_a_flat_in_which_a_colour_is_full_tells_nothing_of_the_others():
+    """The brightest channel of the last flat is missing: what is left of that flat is darker on average."""
+    rng = np.random.default_rng(6)
+    gains = []
+    for _ in range(40):
+        said = recorded(rng, lost=0.1, lamp=1e-3)
+        (base,) = said.baselines
+        shown = tuple(p for p in base.levels if (p.recording, p.channel) != (4, 0))
+        gains.append(score_of(said._replace(baselines=(dataclasses.replace(base, levels=shown),))).gain)
+    assert np.mean(np.array(gains) > 0) < 0.15
+
+
 def test_few_exposures_tell_nothing():
     rng = np.random.default_rng(5)
     assert score_of(recorded(rng, loss=0.05, light=LIGHT[:2]), LIGHT[:2]) is None
