@@ -26,7 +26,8 @@ def recorded(rng, loss=0.0, lost=0.0, lamp=0.0, light=LIGHT, channels=range(4)):
             variance = READ**2 + 1 / 12 + GAIN * at * (1 - 2 * loss * at / SPAN) ** 2 * (1 - lost * at / SPAN)
             error = variance * np.sqrt(2 / (PIXELS * (FRAMES - 1)))
             signal = at * (1 - loss * at / SPAN)
-            levels.append(Level(n, c, signal, variance + error * rng.standard_normal(), error, PIXELS))
+            seen = variance + error * rng.standard_normal()
+            levels.append(Level(n, c, signal, seen, error, PIXELS, full=False, sure=True, alone=0.0, part=0))
     base = dataclasses.replace(RECORDED.baselines[0], read_noise=np.full(4, READ), levels=tuple(levels))
     return RECORDED._replace(baselines=(base,), span=SPAN)
 
