@@ -49,12 +49,15 @@ _CLEARLY = 10.0
 
 class _Jumps(NamedTuple):
     """A law of the jumps: nats that it gains, the share of the pixels that jump, the variance that these have
-    by it on average, in units of the noise, and the mean square of a jump over the square of the mean."""
+    by it on average, in units of the noise, and the mean square of a jump over the square of the mean.
+    share_error, mean_error: of the share and of `mean`, given that either moves with the other."""
 
     gain: float
     share: float
     variance: float
     square: float
+    share_error: float = 0.0
+    mean_error: float = 0.0
 
     @property
     def mean(self) -> float:
@@ -64,19 +67,29 @@ class _Jumps(NamedTuple):
 
 def _fitted(counts: np.ndarray, centre: np.ndarray, n: int, shape: float) -> _Jumps:
     """The most likely of those of this shape. counts, centre: of sums of squares, see `histogram`."""
-    best = _Jumps(0.0, 0.0, 0.25, 1 + 1 / shape)
+    best, tried, informed = _Jumps(0.0, 0.0, 0.25, 1 + 1 / shape), [], []
     for mean in MEAN_JUMPS:
         mixed, f = jump_log_ratio(centre, n, mean, shape), _START
         for _ in range(40):
             responsibility = f * np.exp(mixed) / (1 - f + f * np.exp(mixed))
             f = float(np.clip(np.sum(counts * responsibility) / counts.sum(), 1e-6, 0.3))
         gain = float(np.sum(counts * np.log1p(f * np.expm1(mixed))))
-        if gain > best.gain:
-            jumps = counts / (1 + (1 - f) / f * np.exp(-mixed))
-            # Means are tried in steps; what the pixels have beyond the noise is not.
-            variance = float(np.sum(jumps * (centre / n - 1)) / max(np.sum(jumps), 1e-30))
-            best = best._replace(gain=gain, share=f, variance=max(variance, 0.0))
-    return best
+        if gain <= 0:
+            continue
+        jumps = counts / (1 + (1 - f) / f * np.exp(-mixed))
+        # Means are tried in steps; what the pixels have beyond the noise is not.
+        variance = float(np.sum(jumps * (centre / n - 1)) / max(np.sum(jumps), 1e-30))
+        tried.append(best._replace(gain=gain, share=f, variance=max(variance, 0.0)))
+        informed.append(float(np.sum(counts * (np.expm1(mixed) / (1 + f * np.expm1(mixed))) ** 2)))
+    if not tried:
+        return best
+    best = max(tried, key=lambda law: law.gain)
+    # Fewer and larger jumps look like more and smaller ones: each law counts as far as it is as likely.
+    likely = np.exp([law.gain - best.gain for law in tried])
+    shares, means = (np.array([getattr(law, k) for law in tried]) for k in ("share", "mean"))
+    share = np.average((shares - best.share) ** 2 + 1 / np.array(informed), weights=likely)
+    mean = np.average((means - best.mean) ** 2 + best.mean**2 / (shares * counts.sum()), weights=likely)
+    return best._replace(share_error=float(np.sqrt(share)), mean_error=float(np.sqrt(mean)))
 
 
 def telegraph_score(fields: tuple[Fields, ...]) -> Score[bool] | None:
@@ -112,8 +125,8 @@ def telegraph_score(fields: tuple[Fields, ...]) -> Score[bool] | None:
         shift=float(shift),
         power=2,
         parameters={
-            "fraction": (share, "1", float(np.sqrt(share / squares.size))),
-            "jump": (at * sigma, "DN", at * sigma / np.sqrt(max(share * squares.size, 1.0))),
+            "fraction": (share, "1", told.share_error),
+            "jump": (at * sigma, "DN", told.mean_error * sigma),
         },
         where={"axis": "pixel", "pixels": number},
     )
