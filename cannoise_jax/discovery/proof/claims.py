@@ -57,8 +57,9 @@ _FEWEST_PIXELS = 20
 _GROWS, _NO_PROPORTION = 0.01, 1e-4
 """Chance of hits that come as often at every exposure below which they grow with it, as those of particles do
 beside what a slow read-out takes up, and of hits in proportion to it below which they are not."""
-_REMEMBERED = 0.25
-"""Correlation of lines with those of the frame before, beyond what the simulator has."""
+_REMEMBERED, _REMEMBERED_Z = 0.25, 4.0
+"""Correlation of lines with those of the frame before, beyond what the simulator has, and the standard
+deviations from which on that is no chance: six correlations are looked at for each name."""
 FAR_OUT = (of(TEMPORAL, TAILS), UNSTEADY, IN_ONE_FRAME, LEVELS)
 """Families that count values far out, of single frames and of pixels."""
 _OF_EVIDENCE = 0.02
@@ -259,10 +260,13 @@ def forgetful(whole: Compared, each: list[Borne]) -> Doubt | None:
     if not found or not mine.any():
         return None
     z = np.sum([j.z for j in found], 0) / np.sqrt(len(found))
+    more = np.mean([j.recorded - j.simulated for j in found], 0)
+    # Of the same lines the mean of few frames takes most of what they remember.
     frames = [whole.seen[j.where].frames for j in found]
-    kept = [(memory(j.recorded, n), memory(j.simulated, n)) for j, n in zip(found, frames, strict=True)]
-    more = np.mean([recorded - simulated for recorded, simulated in kept], 0)
-    told = mine & (np.abs(z) > max(j.passing for j in found)) & (np.abs(more) > _REMEMBERED)
+    kept = [memory(j.recorded, n) - memory(j.simulated, n) for j, n in zip(found, frames, strict=True)]
+    same = np.tile(np.array(LINE_LAGS) == 0, 2)
+    more = np.where(same, np.mean(kept, 0), more)
+    told = mine & (np.abs(z) > _REMEMBERED_Z) & (np.abs(more) > _REMEMBERED)
     if not told.any():
         return None
     k = int(np.argmax(np.where(told, np.abs(more), 0)))
