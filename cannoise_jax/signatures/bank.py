@@ -255,6 +255,14 @@ def maps(values: Float[np.ndarray, "h w"], kept: Float[np.ndarray, "h w"] | floa
     return np.concatenate([table.ravel(), [(a - b + c - d) / 4, (a + b - c - d) / 4, (a - b - c + d) / 4]])
 
 
+def map_variance(values: Float[np.ndarray, "h w"], kept: Float[np.ndarray, "h w"] | float) -> np.ndarray:
+    """Variance of `maps` of a field whose pixels are independent, of these variances."""
+    rows, columns = smooth(values.shape)
+    pixels = values.size * float(np.mean(kept))
+    table = np.einsum("ai,ij,bj->ab", rows**2, values, columns**2, optimize=True)
+    return np.concatenate([table.ravel(), np.full(3, values.sum())]) / pixels**2
+
+
 def hermite(z: Float[np.ndarray, "h w"], kept: np.ndarray) -> Float[np.ndarray, "3 k"]:
     """Second, third and fourth Hermite polynomial of the values (excess of variance, skewness, kurtosis),
     as `maps`; masked pixels count nothing."""

@@ -78,12 +78,13 @@ def test_rows_that_remember_the_frame_before_are_no_row_noise(alter, frames, dou
 @pytest.mark.parametrize("frames", [3, 4, 10])
 @pytest.mark.parametrize("kept", [-0.5, 0.0, 0.8])
 def test_the_memory_of_lines_is_told_whatever_the_number_of_frames(frames, kept):
-    """Lines of a hundred columns, new in part in every frame, the mean of the frames out of them."""
+    """Lines that are new in part in every frame, the mean of the frames out of them."""
     rng, size = np.random.default_rng(frames), (4000, 8)
     lines = [rng.standard_normal((size[0], 1))]
     for _ in range(frames - 1):
         lines.append(kept * lines[-1] + np.sqrt(1 - kept**2) * rng.standard_normal((size[0], 1)))
-    contrasts = np.einsum("nt,tij->nij", helmert(frames), np.stack(lines) * np.ones(size))
+    values = np.stack(lines) + 0.1 * rng.standard_normal((frames, *size))
+    contrasts = np.einsum("nt,tij->nij", helmert(frames), values)
     correlation, _ = lines_after(contrasts, np.ones(size, bool))
     assert memory(correlation[1:2], frames)[0] == pytest.approx(kept, abs=0.1)
 

@@ -34,6 +34,7 @@ from cannoise_jax.discovery.compare.families import (
     UNSTEADY_CHANCES,
     of,
 )
+from cannoise_jax.discovery.compare.fixed_moments import moment_variance
 from cannoise_jax.discovery.compare.moves import lines_after, noise_of_lines
 from cannoise_jax.discovery.compare.view import RESIDUES, View
 from cannoise_jax.recordings.packing import SITES
@@ -100,7 +101,7 @@ def measure(
             if name == STRUCTURE:
                 width = width * ~absorbed(seen.kept.shape, degree).ravel()
             if name == MOMENTS:
-                width = np.where(width == width[0], width * _scatter(levelled, seen), width)
+                width = moment_variance(levelled, seen.static_kept, seen.z)
             families[of(STATIC, name)] = Statistics(law, row[name][None], width, len(seen.single))
         if degree == 0:  # else it is what the surface took out
             first = bank.maps(seen.static, seen.static_kept)[None, 1:-3]
@@ -119,19 +120,6 @@ def _about_sites(static: np.ndarray, kept: np.ndarray) -> np.ndarray:
         if kept[at].any():
             out[at] = np.where(kept[at], static[at] - static[at].mean(where=kept[at], dtype=float), 0.0)
     return out
-
-
-def _scatter(static: np.ndarray, seen: View) -> float:
-    """How much more than of white noise alone the squares of a static map scatter from one to the next: by
-    2 s^2 + 4 m^2 s of each pixel, with s the variance of its noise, which its n contrasts tell, and m what is
-    fixed. Of the map's own z the mean square is m^2 + s, of the contrasts' that of s is s^2 (1 + 2/n)."""
-    n = len(seen.z)
-    if not n:
-        return 1.0
-    both = seen.static_kept & seen.kept
-    s = np.mean(seen.z**2, 0, dtype=float)[both]
-    variance = 4 * np.mean(static[both].astype(float) ** 2 * s) - 2 * np.mean(s**2) * n / (n + 2)
-    return max(float(variance) / 2, 1.0)
 
 
 def unsteady(steadiness: Float[np.ndarray, "p"], n: int, grain: float) -> Statistics:
