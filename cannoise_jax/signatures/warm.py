@@ -282,8 +282,12 @@ def warm_score(fields: tuple[Fields, ...]) -> Score[Heat | None] | None:
         return None
     both = min(log_p, by_offset_p) + np.log(2)
     kelvin = DOUBLING_C / np.log(2)
-    amplitude = float(relative * kelvin)
-    shift = float(min(error, 10.0) * kelvin)
+    # Of normal kelvin the charge is log-normal, of such a spread over its mean: no small one where light that
+    # leaks in is taken for it.
+    spread = float(np.sqrt(np.log1p(relative**2)))
+    amplitude = spread * kelvin
+    slope = relative / spread / (1 + relative**2) if spread > 0 else 1.0
+    shift = float(min(error, 10.0) * kelvin * slope)
     return Score(
         log_p=float(np.clip(both, LEAST_LOG_P, 0.0)),
         gain=gain + by_offset,
