@@ -125,7 +125,7 @@ def curve(rng, darks, flats, full=()):
     error = truth * np.sqrt(2 / (3 * pixels))
     seen = truth + error * rng.standard_normal(signal.size)
     return [
-        Level(n, 0, x, v, e, pixels, alone=v)
+        Level(n, 0, x, v, e, pixels, full=False, sure=True, alone=v, part=0)
         for n, (x, v, e) in enumerate(zip(signal, seen, error, strict=True))
     ]
 
