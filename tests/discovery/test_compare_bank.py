@@ -264,3 +264,10 @@ def test_moments_of_a_map_scatter_as_their_closed_form_says(kind):
     ratio = (np.var(seen, 0) / np.mean(told, 0)).reshape(3, -1).mean(1)
     assert ratio[0] == pytest.approx(1.0, abs=0.25)
     assert np.all((ratio > (0.5 if kind != "glow" else 0.25)) & (ratio < 1.2))
+
+
+def test_the_moments_of_one_frame_scatter_as_white_noise_where_nothing_is_fixed():
+    rng, size = np.random.default_rng(9), (64, 96)
+    told = moment_variance(rng.standard_normal(size), np.ones(size, bool), np.zeros((0, *size)))
+    assert np.all(told.reshape(3, -1).mean(1) * 64 * 96 / (2, 6, 24) < 3)
+    assert np.all(told.reshape(3, -1).mean(1) * 64 * 96 / (2, 6, 24) > 0.9)

@@ -31,7 +31,9 @@ def moment_variance(
     others of it divided by its own root mean square. contrasts: of the frames that it is the mean of, zero
     where a pixel is set aside."""
     square = static.astype(float) ** 2
-    noise = _nearby(np.mean(contrasts**2, 0, dtype=float), np.any(contrasts, 0) & kept)
+    noise: np.ndarray | float = 1.0  # of one frame nothing tells it
+    if len(contrasts):
+        noise = _nearby(np.mean(contrasts**2, 0, dtype=float), np.any(contrasts, 0) & kept)
     whole = _nearby(square, kept)
     m2 = square * np.maximum(1 - noise / np.maximum(whole, 1e-9), 0.0)
     own = max(float(square[kept].mean()), 1e-9)
