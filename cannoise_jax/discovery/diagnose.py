@@ -299,22 +299,23 @@ def checked(
     before = shaded(source_of(sides.model, sides.plain, judged.label, key), light)
     model = sides.exported if gated is None else gated.model
 
-    def against(model: SensorModel) -> Checked:
+    def against(model: SensorModel, gated: Gated | None) -> Checked:
         def after() -> Source:
             return shaded(source_of(model, sides.plain, AFTER, key), light)
 
         given = model is sides.model or (sides.model is None and sides.extended is None)
         own = None if given else after
-        return check(judged.capture, frames, before, own, alpha * SHARED.layer, tell)
+        found = check(judged.capture, frames, before, own, alpha * SHARED.layer, tell)
+        return found._replace(surely=gated is not None and gated.surely)
 
     try:
-        found = against(model)
+        found = against(model, gated)
         if not found.worse:
             return gated, found, model
         if gated is None and sides.model is not None:
             return None, found.unchanged, sides.model
         for less in instead(gated) if gated is not None else ():
-            without = against(less.model)
+            without = against(less.model, less)
             if without.nats < found.nats:
                 gated, found, model = less, without, less.model
             if not found.worse:

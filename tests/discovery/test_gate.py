@@ -265,13 +265,22 @@ def test_what_has_no_name_is_in_the_simulator_that_is_handed_back():
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "worse"), [([], [9], True), ([9], [4, 4], False), ([], [], False)]
+    ("before", "after", "surely", "worse"),
+    [
+        ([], [9], False, True),
+        ([9], [4, 4], False, False),
+        ([], [], False, False),
+        ([100], [103], False, True),
+        ([100], [103], True, False),  # score and area both came nearer
+        ([100], [110], True, True),
+        ([], [9], True, True),
+    ],
 )
-def test_what_differs_where_nothing_did_is_worse(before, after, worse):
+def test_what_differs_where_nothing_did_is_worse(before, after, surely, worse):
     one, two = (
         SimpleNamespace(differences=[SimpleNamespace(nats=n) for n in each]) for each in (before, after)
     )
-    assert Checked(one, two, None, True).worse == worse  # type: ignore[arg-type]
+    assert Checked(one, two, None, True, surely).worse == worse  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("alone, handed_back", [(0.1, ("a", ("a",))), (0.4, ("given", ()))])

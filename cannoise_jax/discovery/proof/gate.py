@@ -93,6 +93,11 @@ class Gated(NamedTuple):
         """Whether anything that entered is surely nearer to the recordings."""
         return any(t.entered and t.better for t in self.tried)
 
+    @property
+    def surely(self) -> bool:
+        """Whether something that entered is surely nearer by the composite score and by the area, both."""
+        return any(t.entered and t.scored and t.nearer for t in self.tried)
+
     def with_only(self, steps: tuple[Step, ...], model: SensorModel, looked: Looked, panel: Panel) -> Gated:
         """With some of the findings in place of all that entered; of none it is the simulator that was
         judged."""
