@@ -17,7 +17,16 @@ from cannoise_jax.discovery.frames.battery import prepare
 from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.discovery.proof.adequacy import LEFT, beside, doubt, uneven
 from cannoise_jax.discovery.proof.claims import empty
-from cannoise_jax.discovery.proof.own_part import Borne, borne_by, most_of, own_part, owned, share_of
+from cannoise_jax.discovery.proof.own_part import (
+    Borne,
+    borne_by,
+    most_at,
+    most_of,
+    overshadowed,
+    own_part,
+    owned,
+    share_of,
+)
 from cannoise_jax.discovery.proof.shadow import outweighs, shadowed, undrawn
 from cannoise_jax.discovery.proof.white_maps import gathered, patterned, ranged
 from cannoise_jax.discovery.search.fit import Step
@@ -168,6 +177,15 @@ def borne(before, after, where="dark"):
     return Borne(
         judged, before, after, np.abs(before - after) > 4, np.zeros(before.size, bool), np.ones(before.size)
     )
+
+
+def test_a_name_that_another_outshines_wherever_it_is_seen_is_not_judged_by_what_is_left():
+    weak, strong = borne([20, 12], [9, 8]), borne([1000, 1200], [60, 50])
+    largest = most_at([[weak], [strong]])
+    assert overshadowed([weak], largest) and not overshadowed([strong], largest)
+    # In a recording of its own it is.
+    alone = borne([20, 12], [9, 8], "flat")
+    assert not overshadowed([weak, alone], most_at([[weak, alone], [strong]]))
 
 
 def test_a_name_in_the_shadow_of_something_unknown_is_none():

@@ -42,6 +42,7 @@ from cannoise_jax.discovery.proof.own_part import (
     drawn_structures,
     most_at,
     most_of,
+    overshadowed,
     own_part,
     owned,
 )
@@ -168,8 +169,9 @@ def doubts(
     for n, (one, each, claimed) in borne.items():
         # How a structure is spread was fitted on no frame.
         own = mine[n]
+        dark = confirmed[n] and overshadowed(owned_by[n], largest)
         out[n] = (
-            doubt(one, own, claimed, steps[n].named.signature.form_free)
+            (None if dark else doubt(one, own, claimed, steps[n].named.signature.form_free))
             or empty(one, each, steps[n])
             or patterned(steps[n])
             or gathered(steps[n])
