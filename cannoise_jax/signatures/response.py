@@ -23,21 +23,14 @@ from typing import NamedTuple
 import numpy as np
 from scipy import optimize, stats
 
+from cannoise_jax.physics.transfer.bent import linear_signal
 from cannoise_jax.signatures.added import strength
 from cannoise_jax.signatures.curvature import bent_light
 from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.plain import plain
 from cannoise_jax.signatures.recorded import GroupBaseline, Level, Recorded
 from cannoise_jax.signatures.score import ONE_PARAMETER, Score, normal_log_p
-from cannoise_jax.signatures.signature import (
-    BY_SHIFT,
-    FILES,
-    NO_CLOSED_FORM,
-    NO_LAW,
-    NO_PATTERN,
-    Axes,
-    Signature,
-    unchanged,
-)
+from cannoise_jax.signatures.signature import FILES, Axes, Signature, unchanged
 
 _MOST = 0.2
 """Loss at white, at most: of 1/4 a curve has its top there."""
@@ -66,12 +59,6 @@ class OfMeans(NamedTuple):
     loss: float
     error: float
     freedom: int
-
-
-def linear_signal(signal: np.ndarray, loss: float, span: float) -> np.ndarray:
-    """The signal of a straight response, DN, for the recorded one: x of y = x (1 - a x / S)."""
-    root = np.sqrt(np.maximum(1 - 4 * loss * signal / span, 0.0))
-    return 2 * signal / (1 + root)
 
 
 def by_variance(curves: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], span: float) -> OfVariance:
@@ -191,7 +178,7 @@ def of_flats(
     recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]
 ) -> Signature:
     """A response that bends, in flats without a reference."""
-    return Signature(
+    return plain(
         name=name,
         axes=Axes("converter", "signal", "frozen", "signal squared", "curve"),
         reads=FILES,
@@ -199,10 +186,6 @@ def of_flats(
         absorb=unchanged,
         covers=covers,
         lifted_by=lifted_by,
-        predict=NO_LAW,
-        pattern=NO_PATTERN,
         simulate=strength(parameter, signed="curvature"),
         place=bent_light,
-        detectable=BY_SHIFT,
-        least=NO_CLOSED_FORM,
     )

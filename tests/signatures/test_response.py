@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from cannoise_jax.physics.transfer.bent import linear_signal
 from cannoise_jax.signatures.recorded import Level
-from cannoise_jax.signatures.response import by_mean, by_variance, linear_signal, of_flats
+from cannoise_jax.signatures.response import by_mean, by_variance, of_flats
 from tests.discovery.looks import RECORDED, white
 
 SPAN, GAIN, READ = 4000.0, 0.5, 3.0

@@ -12,12 +12,25 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.estimate import Estimate
 from cannoise_jax.physics.transfer.estimators.pick import brightest_flat
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.rails import LINEAR
+
+
+def slope_at(
+    signal: Float[np.ndarray, "n"] | float, loss: float, span: Float[np.ndarray, "n"] | float
+) -> np.ndarray:
+    """Slope of the response at a recorded signal y, 1 - 2 a x / S: the root of 1 - 4 a y / S."""
+    return np.sqrt(np.maximum(1 - 4 * loss * np.asarray(signal) / span, 0.0))
+
+
+def linear_signal(signal: Float[np.ndarray, "n"], loss: float, span: float) -> Float[np.ndarray, "n"]:
+    """The signal of a straight response, DN, for the recorded one: x of y = x (1 - a x / S)."""
+    return 2 * signal / (1 + slope_at(signal, loss, span))
 
 
 def of_straight(
@@ -28,8 +41,8 @@ def of_straight(
     if flat is None:
         return 1.0
     share = float(np.mean(np.asarray(flat.level) / (baseline.white_level - baseline.black_level)))
-    root = np.sqrt(max(1 - 4 * loss * share, 0.01))
-    return float((1 + root) / 2 / root)
+    slope = max(float(slope_at(share, loss, 1.0)), 0.1)
+    return (1 + slope) / 2 / slope
 
 
 def small_signal(
@@ -47,8 +60,8 @@ def small_signal(
         level = level[level < LINEAR * span[c]] if (level < LINEAR * span[c]).any() else level
         if not len(level):
             continue
-        root = np.sqrt(np.maximum(1 - 4 * loss * level / span[c], 0.0))
+        slope = slope_at(level, loss, span[c])
         # Variance over mean in units of K. Every flat tells it with the same relative error.
-        factor = 1 / float(np.mean(root**2 / ((1 + root) / 2)))
+        factor = 1 / float(np.mean(slope**2 / ((1 + slope) / 2)))
         gain[c], error[c] = factor * gain[c], factor * error[c]
     return dataclasses.replace(baseline, gain=gain, gain_stderr=error)
