@@ -4,11 +4,12 @@ it follows from no rule: each list parts some that read the same and sit at the 
 
 from __future__ import annotations
 
+from cannoise_jax.mechanisms.looks import CURVES
+
 _TAILS = ("light_tails", "kurtosis")
 _SHAPE = (*_TAILS, "skewness")
 _BLINKS = ("pixel_spread", "telegraph")
 _HOT = ("hot_additive", "hot_thermal")
-_BENT = ("variance_curve", "curvature_of_flats")
 _IN_CAMERA = ("lags_in_camera_denoising", "lags_in_camera_denoising_8")
 _ANY_LAG = ("lags_any", "lags_read")
 BLENDS = (*_IN_CAMERA, "lags_demosaicing")
@@ -37,7 +38,7 @@ _LEVELS = ("black_channels", "dark_level")
 IN_FRAMES = (
     *(*_TILES_REDRAWN, *_DIAGONALS_REDRAWN, *_SITES_REDRAWN, "wave_redrawn", "site_relative_redrawn"),
     *(*_OFFSETS_OF_LINES, *_FACTORS_OF_LINES, *_FRAMES, *_SLOPES, "flicker"),
-    *(*_LAGS, "lags_brighter_fatter", *_BENT),
+    *(*_LAGS, "lags_brighter_fatter", *CURVES),
 )
 """What a few far pixels of single frames imprint on: sums over places and products of neighbours."""
 WAVES = (
@@ -59,27 +60,27 @@ IN_MEANS = (
 """What a few far pixels of the means imprint on."""
 
 HITS = (*_SHAPE, *_BLINKS, *IN_FRAMES, *IN_MEANS)
-NO_RESPONSE = (*_SHAPE, *_BENT, *IN_MEANS)
+NO_RESPONSE = (*_SHAPE, *CURVES, *IN_MEANS)
 CORRECTED = (*_SHAPE, *_BLINKS, *_IN_CAMERA, *_ANY_LAG, "lags_crosstalk")
-PEAKS = (*_SHAPE, "pixel_spread", *_IN_CAMERA, *_ANY_LAG, "black_channels", "black_level", *_BENT)
+PEAKS = (*_SHAPE, "pixel_spread", *_IN_CAMERA, *_ANY_LAG, "black_channels", "black_level", *CURVES)
 """What a clamp imprints on. It lowers the levels of all darks by a share of their noise, and makes none rise
 with the exposure: the dark level is asked for beside it."""
 LAG = (
     *(*_FRAMES, *_FACTORS_OF_LINES, *_SLOPES, *_TILES_REDRAWN, "site_relative_redrawn", "flicker"),
     *("reference_scale", "description_scale", "reference_blur", "reference_spread", "scene_static"),
-    *(*_SHAPE, *_BENT),
+    *(*_SHAPE, *CURVES),
 )
-STEP = (*_SCENES, "description_scale", "pixel_relative_static", "saturation", "skewness", *_BENT)
-SPACING = ("comb", "coarse", "skewness", "light_tails", *_BENT)
-EXCESS = ("skewness", "kurtosis", *_BENT)
+STEP = (*_SCENES, "description_scale", "pixel_relative_static", "saturation", "skewness", *CURVES)
+SPACING = ("comb", "coarse", "skewness", "light_tails", *CURVES)
+EXCESS = ("skewness", "kurtosis", *CURVES)
 LATTICE = (
-    *(*_LAGS, "lags_brighter_fatter", *_SHAPE, *_BLINKS, *_BENT),
+    *(*_LAGS, "lags_brighter_fatter", *_SHAPE, *_BLINKS, *CURVES),
     *("corrected", "peaks", "excess_skewness", "comb", "raster_slope"),
     *(*_OFFSETS_OF_LINES, *_DIAGONALS_REDRAWN, "tile_8_redrawn", "wave_redrawn"),
     *("reference_blur", "reference_spread", "scene_static", "pixel_relative_static", "curvature"),
 )
 MOTION = (
-    *(*_SCENES, *_LAGS, *_TAILS, *_BLINKS, *_BENT, "lag_in_time", "flicker", *_FRAMES, *_SLOPES),
+    *(*_SCENES, *_LAGS, *_TAILS, *_BLINKS, *CURVES, "lag_in_time", "flicker", *_FRAMES, *_SLOPES),
     *(*_OFFSETS_OF_LINES, *_FACTORS_OF_LINES, *_TILES_REDRAWN, *_DIAGONALS_REDRAWN, "wave_redrawn"),
 )
 SMEAR = (*_LINES_THAT_STAY, *_PIXELS_THAT_STAY, *_SCENES, "description_scale")
