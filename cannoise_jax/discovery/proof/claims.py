@@ -6,6 +6,8 @@ away, in nats, it is not true of a pattern that other recordings have not got.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from jaxtyping import Float
 
@@ -237,13 +239,16 @@ def memory(correlation: Float[np.ndarray, "k"], frames: int) -> Float[np.ndarray
     """What of each frame the next one has, an autoregression of order one, told by the correlation of one
     with the next once the mean of so many is out of them: of independent frames that is -1 / (frames - 1).
     None of two, which are each other's reverse then."""
-    if frames < 3:
-        return np.zeros_like(correlation)
+    return np.zeros_like(correlation) if frames < 3 else np.interp(correlation, _seen(frames), _MEMORIES)
+
+
+@lru_cache
+def _seen(frames: int) -> list[float]:
+    """The correlation that each of `_MEMORIES` leaves of so many frames."""
     at = np.arange(frames)
     centred = np.eye(frames) - 1 / frames
     each = [centred @ m ** np.abs(at[:, None] - at) @ centred for m in _MEMORIES]
-    told = [np.trace(c, 1) / (frames - 1) / (np.trace(c) / frames) for c in each]
-    return np.interp(correlation, told, _MEMORIES)
+    return [float(np.trace(c, 1) / (frames - 1) / (np.trace(c) / frames)) for c in each]
 
 
 def forgetful(whole: Compared, each: list[Borne]) -> Doubt | None:
