@@ -36,6 +36,7 @@ from cannoise_jax.discovery.proof.gate import Gated
 from cannoise_jax.discovery.proof.gaussian import not_gaussian
 from cannoise_jax.discovery.proof.one_sided import one_sided
 from cannoise_jax.discovery.proof.own_part import (
+    TRACE,
     Borne,
     at_home,
     borne_by,
@@ -49,7 +50,6 @@ from cannoise_jax.discovery.proof.own_part import (
 from cannoise_jax.discovery.proof.shadow import (
     LEFT_TOGETHER,
     SLACK,
-    TRACE,
     outshines,
     outweighs,
     shadowed,

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cannoise_jax.discovery.proof.own_part import Borne, own_part, owned
+from cannoise_jax.discovery.proof.own_part import TRACE, Borne, own_part, owned
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import Doubt
 
@@ -17,9 +17,6 @@ SLACK = 15.0
 """Nats that a name may leave beyond its share, so that one statistic does not speak against a weak effect."""
 _OF_ITS_OWN = 0.3
 """Share of what a name changes, in nats, that no unknown finding changes far more."""
-TRACE = 0.05
-"""Of the nats that stronger findings without a name change: less may be a trace of them. Blocks that jump,
-clouds and columns that wander left 0.0002 to 0.016 of theirs to sinusoids, columns and dark current."""
 _FAR_MORE = 3.0
 """Times the evidence of all that has no name together."""
 _SHADOW = "what speaks for it may be a trace of a stronger finding without a name"
