@@ -24,6 +24,7 @@ from cannoise_jax.discovery.frames.faults import (
     check_measurable,
     fault_lines,
     faults_of,
+    within_light,
     without_moving,
     without_moving_flats,
     without_spots,
@@ -141,6 +142,7 @@ def diagnose(
     capture = read_once(capture)
     faults = faults_of(capture)
     check_measurable(capture, faults)
+    capture, faults = within_light(capture, faults)
     for line in fault_lines(faults):
         warnings.warn(line, FaultWarning, stacklevel=2)
     capture, unsteady = without_moving_flats(capture, faults)

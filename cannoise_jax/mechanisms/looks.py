@@ -56,7 +56,7 @@ from cannoise_jax.signatures.signature import COVERS_NOTHING, Signature
 
 SCALES = ("reference_scale", "description_scale")
 """Signatures of the levels of light, which what a frame or its colours share scatters."""
-DARK_LEVELS = ("black_channels", "black_level", "greens", "stated_read")
+DARK_LEVELS = ("black_level", "greens", "stated_read")
 LIGHT_LEVELS = ("greens", "shading", *SCALES)
 """Signatures of levels, whose standard errors know pixel noise only: a pattern of lines or pixels scatters
 channel means by more, so they are set aside once such a pattern is in the model. A shared offset is

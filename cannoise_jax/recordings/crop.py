@@ -1,4 +1,4 @@
-"""The middle of every frame, where whole frames would take too long."""
+"""Parts of every frame: the middle, where whole frames would take too long, or any other rectangle."""
 
 from __future__ import annotations
 
@@ -10,6 +10,9 @@ import numpy as np
 
 from cannoise_jax.recordings.lazy import LazyArray
 from cannoise_jax.recordings.recording import CaptureSet, Recording
+
+Place = tuple[slice, slice]
+"""Rows and columns of a frame."""
 
 
 def central(capture: CaptureSet, most_pixels: int) -> tuple[CaptureSet, tuple[int, int] | None]:
@@ -23,22 +26,28 @@ def central(capture: CaptureSet, most_pixels: int) -> tuple[CaptureSet, tuple[in
     size = max(2, int(height * scale) // 2 * 2), max(2, int(width * scale) // 2 * 2)
     start = (height - size[0]) // 4 * 2, (width - size[1]) // 4 * 2
     place = slice(start[0], start[0] + size[0]), slice(start[1], start[1] + size[1])
+    return cut_to(capture, place), size
+
+
+def cut_to(capture: CaptureSet, place: Place) -> CaptureSet:
+    """The recordings, all of one size, cut to a rectangle, which has to start at an even row and column."""
+    size = place[0].stop - place[0].start, place[1].stop - place[1].start
     cut = tuple(_cut(r, place, size) for r in capture.recordings)
-    return dataclasses.replace(capture, recordings=cut), size
+    return dataclasses.replace(capture, recordings=cut)
 
 
-def _cut(recording: Recording, place: tuple[slice, slice], size: tuple[int, int]) -> Recording:
+def _cut(recording: Recording, place: Place, size: tuple[int, int]) -> Recording:
     clean: Any = recording.clean
     if clean is not None:
         clean = np.asarray(clean[place]) if clean.ndim == 2 else _view(clean, place, size)
     return dataclasses.replace(recording, frames=_view(recording.frames, place, size), clean=clean)
 
 
-def _view(frames: Any, place: tuple[slice, slice], size: tuple[int, int]) -> LazyArray:
+def _view(frames: Any, place: Place, size: tuple[int, int]) -> LazyArray:
     return LazyArray(partial(_read, frames, place), (len(frames), *size), np.dtype(frames.dtype))
 
 
-def _read(frames: Any, place: tuple[slice, slice], index: Any) -> np.ndarray:
+def _read(frames: Any, place: Place, index: Any) -> np.ndarray:
     first, *rest = index if isinstance(index, tuple) else (index,)
     values = np.asarray(frames[first])[..., place[0], place[1]]
     return values[(..., *rest, *[slice(None)] * (2 - len(rest)))] if rest else values

@@ -81,7 +81,7 @@ def _level_out(field: Fields, static: np.ndarray) -> Fields:
 def steadied(
     fields: tuple[Fields, ...], rate: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"]
 ) -> tuple[Fields, ...]:
-    """The darks with contrasts in units of the noise that each pixel's own charge has, DN/s; only those: of
+    """The darks with contrasts in units of the noise that each pixel's own charge has, e-/s; only those: of
     what stays the weights are those by which maps were taken out of it. known: pixels whose charge is known.
 
     Without it pixels of more dark current than others would be pixels of more read noise, or ones that jump.
@@ -93,7 +93,7 @@ def steadied(
     def own(f: Fields) -> Fields:
         if f.lit or not f.exposure_s or not np.all(f.gain > 0) or not len(f.contrasts):
             return f
-        variance = f.gain[channel_index(rate.shape)] * charge * f.exposure_s
+        variance = f.gain[channel_index(rate.shape)] ** 2 * charge * f.exposure_s
         growth = _growth(f, _rest(f, variance)[0] + variance)
         return f._replace(contrasts=f.contrasts / growth, louder=f.louder * growth)
 

@@ -108,12 +108,14 @@ def find(fields: tuple[Fields, ...]) -> list[Spikes]:
 
 
 class Count(NamedTuple):
-    """up, down: spikes that do not come back; back: those above that do. pairs: spikes beside another of the
-    same frame, chance: those that fall there by chance. tracks: groups of adjoining ones."""
+    """up, down: spikes that do not come back; back: those above that do; again: the share of those above
+    whose pixel shows another one by chance. pairs: spikes beside another of the same frame, chance: those that fall
+    there by chance. tracks: groups of adjoining ones."""
 
     up: int
     down: int
     back: int
+    again: float
     pairs: int
     chance: float
     tracks: int
@@ -122,24 +124,26 @@ class Count(NamedTuple):
 def count(found: list[Spikes]) -> Count:
     """Counts over all recordings."""
     size = found[0].noisy.shape
-    hit = np.sum([s.up.any(0) | s.down.any(0) | s.noisy for s in found], axis=0)
+    each = [s.up.any(0) | s.down.any(0) | s.noisy for s in found]
+    hit, still = np.sum(each, axis=0), [1 - float(pixels.mean()) for pixels in each]
     up = down = back = pairs = tracks = 0
-    chance = 0.0
-    for s in found:
+    chance = met = 0.0
+    for n, s in enumerate(found):
         again = hit > 1
         back += int((s.up.any(0) & again).sum())
+        met += int(s.up.any(0).sum()) * (1 - float(np.prod(still[:n] + still[n + 1 :])))
         down += int((s.down.any(0) & ~again).sum())
         for frame in s.up:
             alone = frame & ~again
-            n = int(alone.sum())
-            if not n:
+            number = int(alone.sum())
+            if not number:
                 continue
             beside = ndimage.convolve(alone.astype(np.int8), _CELL.astype(np.int8), mode="constant") > 1
-            up += n
+            up += number
             pairs += int((beside & alone).sum())
-            chance += n * 8 * n / (size[0] * size[1])
+            chance += number * 8 * number / (size[0] * size[1])
             tracks += int(ndimage.label(alone, _CELL)[1])
-    return Count(up, down, back, pairs, chance, tracks)
+    return Count(up, down, back, met / max(up + back, 1), pairs, chance, tracks)
 
 
 def _per_frame(found: list[Spikes]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -174,7 +178,9 @@ def log_p_of(found: list[Spikes], seen: Count, kind: str) -> float:
     # A hundredth of an expected spike: no law of the noise is known better than that.
     noise = float(stats.poisson.logsf(seen.up - 1, pixels * stats.norm.sf(FAR) + 0.01))
     sides = float(stats.binom.logsf(seen.up - 1, seen.up + seen.down, 0.5))
-    returns = float(stats.binom.logcdf(seen.back, seen.up + seen.back, _RETURNS))
+    # Where many pixels are hit a spike meets another one, whatever made it.
+    least = seen.again + _RETURNS * (1 - seen.again)
+    returns = float(stats.binom.logcdf(seen.back, seen.up + seen.back, least))
     tracks = float(stats.poisson.logsf(seen.pairs - 1, seen.chance + 0.01))
     grows, proportional = _grows_log_p(found)
     if kind == "hits":

@@ -38,6 +38,9 @@ _MEDIAN_OF_ONE = float(stats.chi2.median(1))
 """Median of the square of a standard normal value."""
 _STEPS = 50
 """Steps of Fisher scoring at most."""
+_FAR_LINES = 100.0
+"""Square of a line, in variances of most, from which on it is no part of the variance of a map. Of columns of
+Laplace's law those beyond 30, as of pixels, are a twelfth of the variance, beyond 100 a five-hundredth."""
 _SHAPES = {"row": (-1, 1), "column": (1, -1)}
 """Of the values of lines, by axis, to lie along the frame."""
 
@@ -264,7 +267,7 @@ def _fit(fields: tuple[Fields, ...], maps: Sequence[FrozenMap], place: _Place) -
     """The variances of the maps of a place that are likeliest together."""
     start = np.array([maps[n].variance for n in place.which])
     told = np.einsum("nii->ni", place.information).min(1) > 0
-    far = np.zeros(told.shape, bool)
+    limit = STANDS_OUT if maps[place.which[0]].axis == "pixel" else _FAR_LINES
     variance = start.copy()
     for _ in range(_STEPS):
         mean, covariance = _posterior(place, variance)
@@ -272,10 +275,10 @@ def _fit(fields: tuple[Fields, ...], maps: Sequence[FrozenMap], place: _Place) -
         u = mean / variance
         m = (variance * np.eye(len(variance)) - covariance) / (variance[:, None] * variance)
         power, own = u**2, np.maximum(np.einsum("nii->ni", m), 1e-30)
-        # A few pixels far out are no part of a map, by the scale of most: by that of all they would be.
+        # A few far out are no part of a map, by the scale of most: by that of all they would be.
         ratio = power / own
         bulk = np.median(ratio[told], 0) / _MEDIAN_OF_ONE if told.any() else 1.0
-        far = ((ratio > STANDS_OUT * bulk) | place.apart).any(1)
+        far = ((ratio > limit * bulk) | place.apart).any(1)
         used = told & ~far
         if not used.any():
             return {}

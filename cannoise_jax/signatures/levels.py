@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy import stats
 
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.mechanism import Scaling
@@ -27,7 +28,6 @@ from cannoise_jax.signatures.recorded import Recorded
 from cannoise_jax.signatures.score import (
     ONE_PARAMETER,
     Score,
-    chi2_log_sf,
     student_log_p,
 )
 from cannoise_jax.signatures.signature import (
@@ -216,6 +216,48 @@ def _off_stated(
     return np.average(off, axis=0, weights=weight), float(drawn_too / np.sqrt(weight.sum())), frames
 
 
+_CONTRASTS = np.array([[1, 1, -1, -1], [1, -1, 1, -1], [1, -1, -1, 1]])
+"""Of the four sites: even rows against odd ones, even columns against odd ones, one diagonal against the
+other."""
+
+
+def _parted_errors(dark: Fields) -> Float[np.ndarray, "3"]:
+    """Standard errors of a quarter of each contrast between the sites of a dark, DN, by what its rows, its
+    columns and the halves of either scatter by: patterns of lines part sites by more than pixels do."""
+    static = np.asarray(dark.static, np.float64)
+    limit = STANDS_OUT * max(robust_std(static[dark.usable], 0.0), 1.0)
+    values = np.clip(static, -limit, limit) * dark.usable * dark.sigma / np.sqrt(dark.frames)
+    h, w = (n // 2 for n in values.shape)
+    cells = values[: 2 * h, : 2 * w].reshape(h, 2, w, 2)
+    rows, columns = cells.mean(2), cells.mean(0).transpose(1, 0, 2)  # [line, parity of row, of column]
+
+    def scatter(lines: np.ndarray) -> float:
+        return float(np.mean(np.var(lines, axis=0, ddof=1))) / (2 * len(lines))
+
+    whole_rows, turned_rows = rows.mean(2), np.diff(rows, axis=2) / 2
+    whole_columns, turned_columns = columns.mean(1), np.diff(columns, axis=1) / 2
+    pixel = float(np.var(values)) / values.size
+    squares = np.array([
+        scatter(whole_rows) + scatter(turned_columns), scatter(whole_columns) + scatter(turned_rows),
+        scatter(turned_rows) + scatter(turned_columns),
+    ])  # fmt: skip
+    # The noise of pixels is in either.
+    return np.sqrt(np.maximum(squares - pixel, pixel))
+
+
+def _contrast_errors(
+    fields: tuple[Fields, ...], recorded: Recorded, least: float
+) -> tuple[Float[np.ndarray, "3"], float]:
+    """The errors of the contrasts of the shortest dark as it was recorded, with all that is taken out of it
+    later, and the number of lines that tell them. least: by the noise of the pixels alone."""
+    darks = [f for f in recorded.unlit or fields if f.kind in DARK and f.static is not None]
+    if not darks:
+        return np.full(3, least), 1e9
+    shortest = min(darks, key=lambda f: (f.exposure_s or 0.0, -f.frames))
+    drawn_too = np.sqrt(2.0) if recorded.fitted_too else 1.0
+    return np.maximum(drawn_too * _parted_errors(native(shortest)), least), min(shortest.mean.shape) - 2.0
+
+
 def channel_score(fields: tuple[Fields, ...], *, recorded: Recorded) -> Score | None:
     """Black levels against the stated ones: what channels differ in."""
     levels = dark_levels(tuple(native(f) for f in fields))
@@ -225,14 +267,15 @@ def channel_score(fields: tuple[Fields, ...], *, recorded: Recorded) -> Score | 
     contrast = difference - difference.mean()
     slack = recorded.tolerance if np.any(np.ptp(recorded.black, axis=1) > 0) else 0.0
     reduced = np.sign(contrast) * np.maximum(np.abs(contrast) - slack, 0)
-    chi2 = float(np.sum((reduced / error) ** 2))
+    errors, freedom = _contrast_errors(fields, recorded, error / 2)
+    chi2 = float(np.sum((_CONTRASTS @ reduced / 4 / errors) ** 2))
     rms = float(np.sqrt(np.mean(contrast**2)))
-    spread = error / 2
+    spread = float(np.sqrt(np.mean(errors**2)))
     return Score(
-        log_p=chi2_log_sf(chi2, 3),
+        log_p=float(stats.f.logsf(chi2 / 3, 3, freedom)),
         gain=chi2 / 2,
         penalty=_FOUR_LEVELS,
-        amplitude=float(np.sqrt(max(rms**2 - 0.75 * error**2, 0))),
+        amplitude=float(np.sqrt(max(rms**2 - np.sum(errors**2), 0))),
         error=spread,
         shift=spread,
         power=1,

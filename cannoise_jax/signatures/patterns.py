@@ -15,7 +15,7 @@ from cannoise_jax.recordings.recording import KINDS
 from cannoise_jax.signatures.added import as_map, draw_pixels, placed, posterior, strength
 from cannoise_jax.signatures.answers import less_map, response, shows, stays, told
 from cannoise_jax.signatures.behind_gain import behind_gain
-from cannoise_jax.signatures.charge_noise import steadied
+from cannoise_jax.signatures.charge_noise import own_charge, steadied
 from cannoise_jax.signatures.fields import Fields, channel_index, helmert, longest_exposure, quoted_at
 from cannoise_jax.signatures.group_sums import LineSums, Pixels, by_own_noise
 from cannoise_jax.signatures.handed import Addition, Found, Many, Predicted
@@ -223,7 +223,11 @@ def pixel_absorb(fields: tuple[Fields, ...], score: Score[float], *, scaling: st
     left = less_map(fields, scaling, score.payload, apart)
     if scaling != "exposure":
         return left
-    rate = posterior(sums.score, sums.information, score.payload)[0]
+    # Offsets that are not found yet are no charge: those of a column would make it louder or quieter.
+    rate = own_charge(fields)
+    if rate is None:
+        gain = fields[0].gain[channel_index(apart.shape)]
+        rate = posterior(sums.score, sums.information, score.payload)[0] / np.maximum(gain, 1e-30)
     return steadied(left, rate, (sums.information > 0) & ~apart)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,8 +12,10 @@ from cannoise_jax.discovery.frames.battery import prepare
 from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.recordings.recording import CaptureSet, Recording
 from cannoise_jax.signatures.charge_noise import by_charge, own_charge, steadied
+from cannoise_jax.signatures.fields import refit
+from cannoise_jax.signatures.noisy_lines import spread_of_lines
 from cannoise_jax.signatures.pixels import spread_score
-from tests.discovery.looks import white
+from tests.discovery.looks import SIGNATURES, white
 
 SIZE = (96, 128)
 GAIN, READ, BLACK = 4.0, 2.0, 400.0
@@ -95,13 +99,24 @@ def test_pixels_that_jump_are_told_beside_hot_ones_and_an_uneven_dark_current():
     assert names["rts"].parameters["fraction"][0] == pytest.approx(0.012, abs=0.006)
 
 
+def test_offsets_of_columns_make_no_column_louder_when_charge_is_taken_out_first():
+    """A map that grows with the exposure is taken out before the offsets of columns are known."""
+    capture = camera(14, uneven(14))
+    offsets = np.round(30 * _RNG(15).standard_normal((1, SIZE[1])))
+    moved = tuple(replace(r, frames=(r.frames + offsets).astype(np.uint16)) for r in capture.recordings)
+    fields = fields_of(CaptureSet("camera", moved))
+    for name in ("pixel_thermal_static", "column_additive_static"):
+        fields = refit(SIGNATURES[name].absorb(fields, SIGNATURES[name].score(fields)))
+    assert spread_of_lines(fields, axis="column").log_p > np.log(1e-3)
+
+
 def test_the_noise_of_a_glow_stays_known_where_pixels_have_charge_of_their_own():
     """Mean square of the contrasts in the light of a glow and off it, in units of the noise."""
     rng = _RNG(9)
     down, across = np.mgrid[: SIZE[0], : SIZE[1]]
     glow = 400.0 * np.exp(-np.hypot(down, across) / 20)
     rate, seconds, read = uneven(9), 60.0, 16.0
-    own = GAIN * rate * seconds
+    own = GAIN**2 * rate * seconds
     (field,) = white(rng, kinds=("dark",), frames=12, size=SIZE)
     known = read + own.mean() + glow
     values = rng.standard_normal((11, *SIZE)) * np.sqrt((read + own + glow) / known)

@@ -13,6 +13,8 @@ from cannoise_jax.physics.transfer.one_temperature import other_temperatures
 from cannoise_jax.physics.transfer.photon_transfer import channel_lines
 from cannoise_jax.physics.transfer.rails import MOVES, moving, with_measured_black
 from cannoise_jax.physics.transfer.smoothed import moving as light_moves
+from cannoise_jax.physics.transfer.unlit import NO_PART, lit_rectangle, without_unlit
+from cannoise_jax.recordings.crop import cut_to
 from cannoise_jax.recordings.lazy import chosen
 from cannoise_jax.recordings.packing import ALL
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
@@ -88,6 +90,30 @@ def without_moving_flats(
     if not kept:
         return capture, ()
     return dataclasses.replace(capture, recordings=tuple(kept)), tuple(lines)
+
+
+def within_light(
+    capture: CaptureSet, found: Mapping[float | None, Faults]
+) -> tuple[CaptureSet, Mapping[float | None, Faults]]:
+    """The recordings cut to the part of the frame that light reaches in all flats, and the faults of that,
+    where it does not reach the rest: overscan that no header states would be sensitivity, dark current and
+    columns of the camera. Both unchanged where no such part holds most of the light."""
+    told = {iso: wrong.unlit for iso, wrong in found.items() if wrong.unlit}
+    if not told:
+        return capture, found
+    parted = [
+        part
+        for iso in told
+        for part in without_unlit([frame_statistics(r) for r in capture.recordings if r.iso == iso])
+    ]
+    place = lit_rectangle(parted)
+    if place is None:
+        return capture, found
+    rows, columns = (f"{at.start + 1} to {at.stop}" for at in place)
+    capture, (iso, why) = cut_to(capture, place), next(iter(told.items()))
+    again = faults_of(capture)
+    line = f"{why.split(NO_PART)[0]}: all frames are cut to rows {rows}, columns {columns}"
+    return capture, {**again, iso: again[iso]._replace(unlit=line)}
 
 
 def without_spots(capture: CaptureSet, found: Mapping[float | None, Faults]) -> CaptureSet:

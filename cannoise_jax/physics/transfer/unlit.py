@@ -28,6 +28,13 @@ _SURE, _LESS = 6.0, 0.5
 """Standard errors, and of the charge of the others, by which that of a part is less."""
 LEAST = 0.001
 """Share of a flat from which unlit parts are told."""
+_KEPT = 0.5
+"""Share of the lit pixels that the largest rectangle has to hold for frames to be cut to it: of an image
+circle that touches two sides of the frame it holds 0.64 at least."""
+_CELLS = 128
+"""Cells of a frame along either side from which the rectangle is put together."""
+NO_PART = ": they take no part"
+"""What follows where an unlit part is."""
 UNLIT = "no light reaches a part of the flats: record flats that fill the frame, or cut that part off"
 
 
@@ -75,6 +82,48 @@ def without_unlit(statistics: Sequence[FrameStatistics]) -> list[FrameStatistics
     return out
 
 
+def lit_rectangle(statistics: Sequence[FrameStatistics]) -> tuple[slice, slice] | None:
+    """The largest rectangle of the frame that light reaches in all flats, from even rows and columns; None
+    where all is lit, or much of the light falls elsewhere. Unlit parts within the frame are its defects.
+
+    statistics: as `without_unlit` gives them, of frames of one size.
+    """
+    masks = [s.unlit for s in statistics if s.unlit is not None]
+    if not masks:
+        return None
+    parts, _ = ndimage.label(np.logical_or.reduce(masks))
+    edges = np.concatenate([parts[0], parts[-1], parts[:, 0], parts[:, -1]])
+    dark = np.isin(parts, edges[edges > 0])
+    if not dark.any():
+        return None
+    h, w = dark.shape
+    side = 2 * -(-max(h, w) // (2 * _CELLS))
+    cells = np.ones((h // side, w // side), bool)
+    for dy in range(side):
+        for dx in range(side):
+            cells &= ~dark[dy::side, dx::side][: h // side, : w // side]
+    top, left, rows, columns = _largest(cells)
+    if rows * columns * side**2 < _KEPT * np.sum(~dark):
+        return None
+    return slice(top * side, (top + rows) * side), slice(left * side, (left + columns) * side)
+
+
+def _largest(free: Bool[np.ndarray, "h w"]) -> tuple[int, int, int, int]:
+    """First row and column, height and width of the largest rectangle of free cells."""
+    best, height = (0, 0, 0, 0), np.zeros(free.shape[1] + 1, int)
+    for row, line in enumerate(free):
+        height[:-1] = np.where(line, height[:-1] + 1, 0)
+        open_ = list[tuple[int, int]]()  # first column and height of rectangles that may still grow
+        for column, tall in enumerate(height):
+            first = column
+            while open_ and open_[-1][1] >= tall:
+                first, reached = open_.pop()
+                if reached * (column - first) > best[2] * best[3]:
+                    best = row - reached + 1, first, reached, column - first
+            open_.append((first, int(tall)))
+    return best
+
+
 def _gathers_none(statistics: Sequence[FrameStatistics], mask: Bool[np.ndarray, "H W"]) -> bool:
     """Whether the dark charge of a part is not that of the rest, by the longest dark less the shortest."""
     darks = [s for s in statistics if s.recording.kind in DARK and s.variance is not None]
@@ -107,8 +156,8 @@ def unlit_line(statistics: Sequence[FrameStatistics]) -> str:
     where = lines_of("columns", mask, 0) or lines_of("rows", mask, 1)
     name = s.recording.path or s.recording.camera
     return (
-        f"{name}: no light reaches {100 * mask.mean():.1f} % of its pixels{where}: they take no part in gain "
-        "and sensitivities: record flats that fill the frame, or cut that part off all frames"
+        f"{name}: no light reaches {100 * mask.mean():.1f} % of its pixels{where}{NO_PART} in gain and "
+        "sensitivities: record flats that fill the frame, or cut that part off all frames"
     )
 
 
