@@ -109,8 +109,8 @@ def find(fields: tuple[Fields, ...]) -> list[Spikes]:
 
 class Count(NamedTuple):
     """up, down: spikes that do not come back; back: those above that do; again: the share of those above
-    whose pixel shows another one by chance. pairs: spikes beside another of the same frame, chance: those that fall
-    there by chance. tracks: groups of adjoining ones."""
+    whose pixel shows another one by chance. pairs: spikes beside another of the same frame, chance: those
+    that fall there by chance. tracks: groups of adjoining ones."""
 
     up: int
     down: int

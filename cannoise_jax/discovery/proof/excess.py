@@ -31,13 +31,15 @@ pixels of another one lie elsewhere."""
 
 class Excess(NamedTuple):
     """A mechanism of which the simulator has too much, or of single pixels of the same unit too little: its
-    strength in the simulator's draws and in the recordings, with the standard error of either."""
+    strength in the simulator's draws and in the recordings, with the standard error of either. elsewhere:
+    whether it is of single pixels, and those of the recordings are others."""
 
     mechanism: str
     simulated: float
     recorded: float
     simulated_error: float
     recorded_error: float
+    elsewhere: bool = False
 
     @property
     def sign(self) -> str:
@@ -48,8 +50,9 @@ class Excess(NamedTuple):
 def excess(own: tuple[Step, ...], recorded: Prepared) -> tuple[Excess, ...]:
     """Of what the simulator's own draws show, what the recordings show less of, strongest evidence first.
 
-    recorded: a split of the recordings as they are. Left to the layer that knows no names is what is frozen
-    and no scatter of pixels or lines, but for what is looked for beside what the simulator has.
+    recorded: a split of the recordings as they are, in which the same finding is looked for again: a wave at
+    its frequency, a glow of its form. Left to the layer that knows no names is what is frozen and no scatter
+    of pixels or lines, where there is no such look.
     """
     known = {s.name: s for s in recorded.signatures}
     out: list[tuple[float, Excess]] = []
@@ -57,7 +60,9 @@ def excess(own: tuple[Step, ...], recorded: Prepared) -> tuple[Excess, ...]:
         named, signature = step.named, known.get(step.named.signature.name)
         rare = named.signature.rare
         level = named.signature.frozen and not rare and not np.isfinite(named.score.drawn)
-        if named.mechanism == UNKNOWN or signature is None or (level and not signature.beyond):
+        if named.mechanism == UNKNOWN or signature is None:
+            continue
+        if level and not (signature.beyond or signature.again or signature.strength):
             continue
         there = _strength(named.signature.quoted(named.score, named.mechanism))
         same = _at_its_places(step, recorded)
@@ -69,7 +74,7 @@ def excess(own: tuple[Step, ...], recorded: Prepared) -> tuple[Excess, ...]:
                 # How many pixels are drawn says nothing of the same ones.
                 out.append((off, Excess(named.mechanism, there[0], here[0], here[1], here[1])))
             continue
-        score = signature.score(recorded.fields)
+        score = _found_again(step, signature, recorded)
         if score is not None and signature.beyond:
             more, _, error = next(iter(score.parameters.values()))
             here = (max(there[0] + more, 0.0), error)
@@ -79,8 +84,20 @@ def excess(own: tuple[Step, ...], recorded: Prepared) -> tuple[Excess, ...]:
                 here = min(here, _of_single_lines(signature, recorded.fields))
         sigmas = (there[0] - here[0]) / max(float(np.hypot(there[1], here[1])), 1e-30)
         if sigmas > _SURE and here[0] < (_LESS_OF_FEW if rare else _LESS) * there[0]:
-            out.append((sigmas, Excess(named.mechanism, there[0], here[0], there[1], here[1])))
+            elsewhere = named.signature.single_pixels
+            out.append((sigmas, Excess(named.mechanism, there[0], here[0], there[1], here[1], elsewhere)))
     return tuple(e for _, e in sorted(out, key=lambda pair: -pair[0]))
+
+
+def _found_again(step: Step, signature: Signature, recorded: Prepared) -> Score | None:
+    """What the recordings show of a finding of the simulator's draws; of single pixels, whose places say
+    nothing of another unit, of their kind. signature: that of the recordings."""
+    score = step.named.score
+    if signature.single_pixels:
+        return signature.score(recorded.fields)
+    if signature.strength is not None:
+        return signature.strength(score, step.before, recorded.fields)
+    return signature.score_again(recorded.fields, score)
 
 
 def _of_single_lines(signature: Signature, fields: Many) -> tuple[float, float]:

@@ -28,7 +28,8 @@ def shares(found: Iterable[Excess], model: SensorModel | None = None) -> dict[st
 
 
 def _share(e: Excess, fitted: Fitted | None) -> float:
-    if e.recorded <= SURE * e.recorded_error:
+    # Pixels of another unit hide those of this one, which are found with their places once they are gone.
+    if e.elsewhere or e.recorded <= SURE * e.recorded_error:
         return 0.0
     first = None if fitted is None else fitted.record.parameters[0]
     if fitted is not None and first is not None and first.name.endswith("_dn"):

@@ -3,9 +3,11 @@ differs."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from cannoise_jax.discovery.compare.report import difference_document
 from cannoise_jax.discovery.frames.faults import at_iso
@@ -14,13 +16,19 @@ from cannoise_jax.discovery.proof.judged import CALIBRATED
 from cannoise_jax.discovery.proof.tried import Tried
 from cannoise_jax.discovery.result import Result
 from cannoise_jax.discovery.search.model import adds
+from cannoise_jax.discovery.search.name import UNKNOWN
 from cannoise_jax.mechanisms.pedestal import LEVELS, PEDESTAL
-from cannoise_jax.physics.core.settings import black_levels
+from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.physics.core.sensor_draws import closed_moments
+from cannoise_jax.physics.core.settings import Settings, black_levels
 from cannoise_jax.physics.transfer.faults import Faults
 from cannoise_jax.recordings.recording import DARK
 
 _KNOWN = 0.5
 """Relative error of a read noise that only flats tell, up to which it counts as measured."""
+_OF_PIXELS = ("readout", "pixel", "redrawn", "add")
+"""Where the noise of single pixels enters, and how."""
 _SURE = 3.0
 """Standard errors of the mean gain of the sites from which on noise counts as growing with the light."""
 
@@ -42,16 +50,17 @@ def grown_gain(diagnosis: Result) -> float:
 def baseline(diagnosis: Result) -> list[dict[str, Any]]:
     """Gain (DN/e-), read noise (e-) and black level (DN) by mosaic site, of the simulator that is handed
     back, for every ISO that it has, and by how much the darks of each exposure lie beyond that and what was
-    found (DN), where they do. shot_noise: whether noise grows with the light: where it does not, as a
-    bolometer's, the gain is not measured, and read noise in electrons is none. gain_measured,
-    read_noise_measured, black_cut_off: see `Measured`. The ISO is None where no file states one, and not the
-    stand-in by which a camera model knows that gain."""
+    found (DN), where they do. Noise of pixels without a name is read noise here. shot_noise: whether noise
+    grows with the light: where it does not, as a bolometer's, the gain is not measured, and read noise in
+    electrons is none. gain_measured, read_noise_measured, black_cut_off: see `Measured`. The ISO is None
+    where no file states one, and not the stand-in by which a camera model knows that gain."""
     model = diagnosis.model
     grows = {
         diagnosis.first.isos[b.iso]: bool(b.gain.sum() > _SURE * np.linalg.norm(b.gain_stderr))
         for b in diagnosis.first.baselines
     }
-    gain, read, black = np.asarray(model.gain_dn_per_e), np.asarray(model.read_noise_e), black_levels(model)
+    gain, black = np.asarray(model.gain_dn_per_e), black_levels(model)
+    read = np.sqrt(np.asarray(model.read_noise_e) ** 2 + _unnamed_read(model) / np.maximum(gain, 1e-30) ** 2)
     stated = {float(np.float32(number)): iso for iso, number in diagnosis.first.isos.items()}
     told = measured(diagnosis)
     isos = np.asarray(model.iso).tolist()
@@ -81,6 +90,27 @@ def baseline(diagnosis: Result) -> list[dict[str, Any]]:
         }
         for n, iso in enumerate(isos)
     ]
+
+
+def _unnamed_read(model: SensorModel) -> Float[np.ndarray, "g 4"]:
+    """Variance of the noise of pixels in the dark that has no name, DN^2, by gain setting and site: of other
+    tails, or alike in neighbours, it was measured within the read noise, and taken out of it."""
+
+    def of_pixels(point: Point) -> bool:
+        alike = (point.stage, point.over, point.time, point.combine) == _OF_PIXELS
+        return alike and point.signal == 0
+
+    own = (f for f in model.mechanisms if f.mechanism.startswith(UNKNOWN))
+    unnamed = tuple(f for f in own if of_pixels(f.record.point))
+    if not unnamed:
+        return np.zeros((np.size(model.iso), 4))
+    bare, noisy = (replace(model, mechanisms=some) for some in ((), unnamed))
+    dark = np.zeros((2, 2), np.float32)
+    variance = [
+        [np.ravel(closed_moments(one, dark, Settings(float(iso)))[1]) for one in (noisy, bare)]
+        for iso in np.asarray(model.iso)
+    ]
+    return np.array([more - less for more, less in variance])
 
 
 class Measured(NamedTuple):
