@@ -153,7 +153,7 @@ def diagnose(
     judged = opened(capture, simulator, key, tell, [m for m in mechanisms or () if isinstance(m, Entry)])
     raw = splits_of(judged.capture, judged.stated, judged.drawn, searched(entries))
     own = own_effects(judged.drawn, entries, judged.own_names(allowed, entries), log_alpha)
-    too_much = excess(own, raw.looking)
+    too_much = excess(own, raw.looking, judged.held)
     judged, raw, own, kept = less_of(
         too_much, judged, raw, own, entries=entries, allowed=allowed, log_alpha=log_alpha, key=key
     )

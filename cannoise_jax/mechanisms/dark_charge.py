@@ -288,7 +288,7 @@ ENTRIES: tuple[Entry, ...] = (
         CLOCK_INDUCED_CHARGE,
         needs="several hundred short darks of an electron-multiplying sensor",
         signatures=looks.always(
-            looks.events.clocking(name="clocking", mechanism="clock_induced_charge",
+            looks.clocking.clocking(name="clocking", mechanism="clock_induced_charge",
                                   covers=("hits", "clocking"), lifted_by=imprints.HITS),
         ),
         examples=Examples("variance", shown={"charge_e": 2.0}, dim=True, strong={"charge_e": 5.0}),

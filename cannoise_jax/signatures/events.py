@@ -14,7 +14,7 @@ other frames of that pixel are quiet is no Gaussian noise. What else does that i
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -34,8 +34,6 @@ _QUIET = 1e-3
 _RETURNS = 0.2
 """Share of the spikes of telegraph pixels, seen once, whose pixel shows another in the frames at hand, at
 least: less is a duty of far below one frame in all."""
-_NONE_SEEN = 1e-6
-"""Share of single electrons that stand out, below which none does: normal noise does so as often."""
 _CELL = np.ones((3, 3), bool)
 """A pixel and its eight neighbours, of which a track goes on in one."""
 
@@ -56,7 +54,7 @@ class Spikes(NamedTuple):
     earlier: np.ndarray
 
 
-def _limit(field: Fields) -> np.ndarray:
+def limit_of(field: Fields) -> np.ndarray:
     """Standard deviations that noise with the skewness of its shot noise, twice that for an electron
     multiplier, exceeds as seldom as normal noise does `FAR`."""
     electrons = np.maximum(field.signal, 0) * float(np.mean(field.gain)) ** 2
@@ -84,7 +82,7 @@ def _spikes(field: Fields) -> Spikes | None:
     quiet = (power - value**2 < stats.chi2.isf(_QUIET, freedom)) if freedom else np.isfinite(value)
     # The shot noise of the charge itself is in one frame only; of what is left of a spike in the others
     # rounding keeps some.
-    alone = quiet & (np.abs(value) > _limit(field)) & field.usable
+    alone = quiet & (np.abs(value) > limit_of(field)) & field.usable
     if field.static is not None and field.frames > 2:
         others = field.static / np.sqrt(field.frames) - value / np.sqrt(field.frames * (field.frames - 1))
         alone &= np.abs(others) * np.sqrt(field.frames - 1) < FAR
@@ -93,7 +91,7 @@ def _spikes(field: Fields) -> Spikes | None:
     if field.before:
         inner = power - field.contrasts[-1] ** 2
         still = inner < stats.chi2.isf(_QUIET, freedom) if freedom else np.ones(power.shape, bool)
-        earlier = still & (field.contrasts[-1] < -_limit(field)) & field.usable
+        earlier = still & (field.contrasts[-1] < -limit_of(field)) & field.usable
     noisy = (power > stats.chi2.isf(1e-5, len(field.contrasts))) & ~alone & ~earlier & field.usable
     up = at & alone & (value > 0)
     gain = float(np.sum(0.5 * np.minimum(value[up.any(0)], 1e3) ** 2 - np.log(max(value.size, 2))))
@@ -195,7 +193,37 @@ def log_p_of(found: list[Spikes], seen: Count, kind: str) -> float:
     return min(0.0, max(noise, sides, own))
 
 
-def spike_score(fields: tuple[Fields, ...], *, kind: str) -> Score | None:
+class Heights(NamedTuple):
+    """Spikes above the level of their pixels, DN: how far, the limit from which on they are spikes, the noise
+    of their pixel, and the gain, each of every spike."""
+
+    height: np.ndarray
+    limit: np.ndarray
+    sigma: np.ndarray
+    gain: np.ndarray
+
+
+def heights(fields: tuple[Fields, ...], found: list[Spikes]) -> Heights:
+    """Those of all recordings."""
+    by_number, parts = {f.number: f for f in fields}, []
+    for s in (s for s in found if s.up.any()):
+        f = by_number[s.number]
+        others, limit = f.before or f.frames - 1.0, limit_of(f) * f.sigma
+        for frame, up in zip(each_frame(f, static=False), s.up, strict=True):
+            height = frame[up] * f.sigma[up] * np.sqrt((others + 1) / others)
+            parts.append((height, limit[up], f.sigma[up], np.full(height.size, float(np.mean(f.gain)))))
+    if not parts:
+        return Heights(*np.zeros((4, 0)))
+    return Heights(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+Hidden = Callable[[tuple[Fields, ...], list[Spikes], Heights], float]
+"""How many events there are for each that stands out of the noise; infinite where none can."""
+
+
+def spike_score(
+    fields: tuple[Fields, ...], *, kind: str, hidden: Hidden = lambda fields, found, spikes: 1.0
+) -> Score | None:
     """Spikes of single frames as hits of cosmic rays make them, or as clocking does. Amplitude: events per
     megapixel and second, or electrons per pixel and frame."""
     found = find(fields)
@@ -214,48 +242,29 @@ def spike_score(fields: tuple[Fields, ...], *, kind: str) -> Score | None:
     else:
         volume = sum(s.frames for s in found) * float(size)
     unit = 1 / volume if volume > 0 else float("inf")
-    hidden = _hidden(fields, found) if kind == "clocking" else 1.0
+    spikes = heights(fields, found)
+    times = hidden(fields, found, spikes)
     events = seen.tracks if kind == "hits" else seen.up
-    charge = _charge(fields, found)
+    charge = _charge(found, spikes)
+    all_of = unit * times if np.isfinite(times) else unit
     where = {"axis": "pixel", "pixels": seen.up}
     return Score(
         log_p=max(log_p, LEAST_LOG_P),
         gain=max(gain, 0.0),
         penalty=float(np.log(max(size, 2))),
-        amplitude=events * unit,
-        error=float(np.sqrt(max(events, 1))) * unit,
-        shift=3 * unit * hidden,
+        amplitude=events * all_of,
+        error=float(np.sqrt(max(events, 1))) * all_of,
+        shift=3 * unit * times,
         power=1,
         parameters={"charge_e": (charge, "e-", charge / np.sqrt(max(events, 1)))},
         where=where,
     )
 
 
-def _hidden(fields: tuple[Fields, ...], found: list[Spikes]) -> float:
-    """How many single electrons are freed for each that stands out of the noise; infinite where none does."""
-    by_number = {f.number: f for f in fields}
-    seen = frames = 0.0
-    for s in found:
-        f = by_number[s.number]
-        height = float(np.mean(f.gain)) / f.sigma
-        seen += s.frames * float(np.mean(np.where(f.usable, stats.norm.sf(_limit(f) - height), 0.0)))
-        frames += s.frames
-    return frames / seen if seen > _NONE_SEEN * frames else float("inf")
-
-
-def _charge(fields: tuple[Fields, ...], found: list[Spikes]) -> float:
+def _charge(found: list[Spikes], spikes: Heights) -> float:
     """Mean charge of a spike beyond the limit, electrons."""
-    by_number = {f.number: f for f in fields}
-    total = events = 0.0
-    for s in found:
-        f = by_number[s.number]
-        if not s.up.any():
-            continue
-        others = f.before or f.frames - 1.0
-        for frame, up in zip(each_frame(f, static=False), s.up, strict=True):
-            height = frame[up] * f.sigma[up] * np.sqrt((others + 1) / others)
-            total += float(np.sum(height)) / max(float(np.mean(f.gain)), 1e-9)
-            events += ndimage.label(up, _CELL)[1]
+    total = float(np.sum(spikes.height / np.maximum(spikes.gain, 1e-9)))
+    events = sum(int(ndimage.label(up, _CELL)[1]) for s in found for up in s.up)
     return total / events if events else 0.0
 
 
@@ -296,30 +305,4 @@ def hits(*, name: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]) -> S
         lifted_by=lifted_by,
         rare=True,
         form_free=True,  # tracks of all lengths, charges of all particles
-    )
-
-
-_SINGLE_E = 10.0
-"""Electrons above which a spike is of no single one: an electron multiplier makes e^-10 of them as large."""
-
-
-def clocking(*, name: str, mechanism: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]) -> Signature:
-    """Charge that single frames have and no other, as much of it in short exposures. It comes electron by
-    electron: what is far larger, or stands out where single electrons do not, has no name."""
-
-    def readings(score: Score, scores: Mapping[str, Score]) -> tuple[tuple[str | None, float], ...]:
-        single = np.isfinite(score.shift) and score.parameters["charge_e"][0] < _SINGLE_E
-        return ((mechanism if single else None, score.evidence),)
-
-    return plain(
-        name=name,
-        axes=Axes("pixel", "pixel", "redrawn", "additive", "sparse"),
-        reads=CONTRASTS | STATIC | {"signal"},
-        score=partial(spike_score, kind="clocking"),
-        absorb=without_spikes,
-        simulate=carried(lambda s: {"charge_e": s.amplitude}),
-        covers=covers,
-        lifted_by=lifted_by,
-        rare=True,
-        readings=readings,
     )

@@ -153,6 +153,24 @@ def test_pixels_that_two_hits_met_by_chance_go_with_the_hits():
     assert after.gain < 10 and after.log_p > -7
 
 
+@pytest.mark.parametrize("gain, multiplied", [(24.0, True), (40.0, False)])
+def test_electrons_that_do_not_stand_out_are_counted(gain, multiplied):
+    """Of single electrons of exponential size, half of the gain that variance tells in the mean, a few stand
+    out of a noise of 4 DN; of those of one size nearly all do."""
+    rng, rate = _RNG(12), 0.004
+    fields = []
+    for f in white(rng, kinds=("dark", "dark"), frames=10, size=SIZE, sigma=4.0):
+        size = (10, *SIZE)
+        each = rng.exponential(gain / 2, size) if multiplied else gain
+        frames = rng.standard_normal(size) + (rng.random(size) < rate) * each / 4.0
+        contrasts = np.einsum("nt,tij->nij", helmert(10), frames).astype(np.float32)
+        static = (frames.mean(0) * np.sqrt(10)).astype(np.float32)
+        fields.append(f._replace(contrasts=contrasts, static=static, gain=np.full(4, gain)))
+    found = SIGNATURES["clocking"].score(tuple(fields))
+    assert found.amplitude == pytest.approx(rate, rel=0.2)
+    assert np.isfinite(found.shift)
+
+
 @pytest.mark.parametrize("growth, told", [(0.0, False), (0.5, True)])
 def test_codes_far_apart_are_told_to_grow_farther_apart(growth, told):
     """Three flats, each over some eight codes of a lattice that widens with the signal, or does not."""

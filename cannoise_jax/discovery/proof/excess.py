@@ -47,12 +47,15 @@ class Excess(NamedTuple):
         return "too much" if self.simulated > self.recorded else "too little"
 
 
-def excess(own: tuple[Step, ...], recorded: Prepared) -> tuple[Excess, ...]:
+def excess(
+    own: tuple[Step, ...], recorded: Prepared, held: frozenset[str] | None = None
+) -> tuple[Excess, ...]:
     """Of what the simulator's own draws show, what the recordings show less of, strongest evidence first.
 
     recorded: a split of the recordings as they are, in which the same finding is looked for again: a wave at
     its frequency, a glow of its form. Left to the layer that knows no names is what is frozen and no scatter
-    of pixels or lines, where there is no such look.
+    of pixels or lines, where there is no such look. held: mechanisms of a camera model, of which a level in
+    its draws is one, or a trace of another.
     """
     known = {s.name: s for s in recorded.signatures}
     out: list[tuple[float, Excess]] = []
@@ -63,6 +66,8 @@ def excess(own: tuple[Step, ...], recorded: Prepared) -> tuple[Excess, ...]:
         if named.mechanism == UNKNOWN or signature is None:
             continue
         if level and not (signature.beyond or signature.again or signature.strength):
+            continue
+        if level and held is not None and named.mechanism not in held and not signature.beyond:
             continue
         there = _strength(named.signature.quoted(named.score, named.mechanism))
         same = _at_its_places(step, recorded)

@@ -49,6 +49,11 @@ class Judged:
         """The camera model that was handed over, None where it is no such."""
         return None if self.handed is None else self.handed.model
 
+    @property
+    def held(self) -> frozenset[str] | None:
+        """Mechanisms of the camera model that was handed over; None where it is no such."""
+        return None if self.model is None else frozenset(f.mechanism for f in self.model.mechanisms)
+
     def own_names(self, allowed: frozenset[str], entries: tuple[Entry, ...]) -> frozenset[str]:
         """Names for what its own draws show: of noise of rows or columns those that the camera model holds,
         where it holds one of the same lines. White rows beside noise along the raster look like rows of a
