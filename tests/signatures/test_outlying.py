@@ -200,7 +200,7 @@ def test_single_electrons_are_told_as_far_as_they_stand_out(gain, seen):
     """Noise of 4.5 DN: an electron of 27 DN lies at the limit and a little above, half of them beyond."""
     fields = [f._replace(gain=np.full(4, gain), sigma=np.full(SIZE, 4.5)) for f in white(_RNG(3), size=SIZE)]
     darks = tuple(f for f in fields if not f.lit)
-    score = spike_score(darks, kind="clocking")
+    score = SIGNATURES["clocking"].score(darks)
     assert score is not None
     frames = sum(f.frames for f in darks) * fields[0].mean.size
     expected = 3 / frames / seen if seen else np.inf
