@@ -20,6 +20,7 @@ from cannoise_jax.signatures import (
     glow,
     groups,
     hot,
+    in_time,
     lattice,
     levels,
     light,

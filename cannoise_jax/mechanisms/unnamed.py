@@ -45,6 +45,8 @@ _ALWAYS: tuple[Signature, ...] = (
         covers=looks.DARK_LEVELS,
         before=(*imprints.WAVES, *imprints.IN_FRAMES, *_FOLDED, "repeating"),
     ),  # fmt: skip
+    # A start that the first frames still show, an image that lags, offsets that wander.
+    looks.in_time.kept(name="kept_in_time", covered_by=("warm",), covers=looks.COVERS_NOTHING),
     looks.covariance.any_lag("white", name="lags_any", covers=imprints.BLENDS),
     looks.covariance.any_lag("read", name="lags_read", covers=imprints.BLENDS),
     looks.shape.tails(name="light_tails", heavy=False, covers=looks.NOISY),

@@ -8,7 +8,7 @@ from scipy import stats
 
 from cannoise_jax.discovery.frames.battery import prepare
 from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
-from cannoise_jax.discovery.proof.shared_noise import shared
+from cannoise_jax.discovery.proof.shared_noise import shared, shared_lines
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import Named
 from cannoise_jax.signatures.shape import lambda_of
@@ -78,3 +78,30 @@ def test_noise_that_neighbours_share_is_told(shape, where):
     said = shared(step_of(stronger(shape)))
     assert said is not None and said.left > 0.3
     assert where in said.against[0] or shape == (8, 8)
+
+
+def louder(together):
+    """Columns at the left that are louder, of an offset that each row has there and that dies away, or each
+    pixel by itself."""
+
+    def alter(rng):
+        def change(dn, *_):
+            across = 8 * np.exp(-np.arange(dn.shape[1]) / 12)
+            row = rng.standard_normal((dn.shape[0], 1)) if together else rng.standard_normal(dn.shape)
+            return dn + 8 * rng.standard_normal(dn.shape) + row * across
+
+        return change
+
+    return alter
+
+
+@pytest.mark.parametrize("together", [True, False])
+def test_columns_that_are_loud_together_have_no_noise_of_their_own(together):
+    capture = capture_set(4, louder(together), read=0.3, kinds="d")
+    prepared = prepare(capture, all_frames(split_recordings(capture)), False)
+    (signature,) = (s for s in prepared.signatures if s.name == "column_spread")
+    score = signature.score(prepared.fields)
+    assert score.log_p < -12
+    named = Named(score, signature, "column_read_noise_map", (("column_read_noise_map", 1.0),), False)
+    against = shared_lines(Step(named, prepared.fields, score.log_p))
+    assert (against is not None) == together

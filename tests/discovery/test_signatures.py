@@ -154,6 +154,7 @@ UNPLANTED = {
     "wave_redrawn_2, wave_redrawn_3": "signatures/test_waves.py",
     "tail_column, tail_row": "discovery/test_late_charge.py",
     "row_spread, column_spread": "signatures/test_noisy_lines.py",
+    "kept_in_time": "signatures/test_in_time.py",
 }
 """Signatures that take something out which only recordings show: edges of scenes, a smooth mean, single
 electrons, what lies behind single pixels, frames in their order, pixels made of others, layouts of readouts,

@@ -55,7 +55,7 @@ from cannoise_jax.discovery.proof.shadow import (
     shadowed,
     undrawn,
 )
-from cannoise_jax.discovery.proof.shared_noise import shared, shared_map
+from cannoise_jax.discovery.proof.shared_noise import shared, shared_lines, shared_map
 from cannoise_jax.discovery.proof.single_waves import one_of_many
 from cannoise_jax.discovery.proof.white_maps import gathered, noisy_again, patterned, ranged
 from cannoise_jax.discovery.proof.whole_codes import in_few_lines
@@ -181,6 +181,7 @@ def doubts(
             or whatever_exposure(steps[n])
             or noisy_again(steps[n])
             or shared_map(steps[n])
+            or shared_lines(steps[n])
             or in_parts(steps[n])
             or in_places(steps[n])
             or in_few_lines(steps[n], capture, frames)

@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from cannoise_jax.discovery.proof.white_maps import noisy_halves
+from cannoise_jax.discovery.proof.white_maps import NOISE, noisy_halves
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
+from cannoise_jax.signatures.known_shape import darks
 from cannoise_jax.signatures.shape import HEAVY, one_noise
 
 _LAGS = (2, 3, 4)
@@ -23,6 +24,8 @@ _SURE = 6.0
 """Standard errors from which on the squares are correlated."""
 _DIAGONAL = ((2, 2), (2, -2), (4, 4), (4, -4))
 """Pixels apart, down and across: of one colour, and in no line of noise together."""
+_FEWEST_LINES = 8
+"""Lines from which on neighbours are held against each other."""
 _HALF = 0.5
 """Of what pixels have in common with themselves in other frames, that those beside each other have: a map of
 single pixels has none, one that is smooth over ten pixels and more 0.8 to 1."""
@@ -79,6 +82,41 @@ def shared_map(step: Step) -> Doubt | None:
         return None
     share = min(beside / max(itself, beside), 1.0)
     said = f"pixels near each other are noisy together: they have {100 * share:.0f} % of it in common"
+    return Doubt(share, (said,), instead=True)
+
+
+def shared_lines(step: Step) -> Doubt | None:
+    """What speaks against a step that gives every row or column a read noise of its own: that what loud lines
+    have beyond the others is in the pixel of the next line too, in the same frame, as of an offset that dies
+    away along the scan."""
+    axes = step.named.signature.axes
+    if step.named.mechanism == UNKNOWN or axes.law != NOISE or axes.varies_over not in ("row", "column"):
+        return None
+    axis = 0 if axes.varies_over == "row" else 1
+    power, product, number = np.zeros((3, step.before[0].mean.shape[axis]))
+    for f in darks(step.before):
+        values = np.moveaxis(f.contrasts * f.usable, 1 + axis, 0)
+        power += np.einsum("lnk,lnk->l", values, values)
+        product[:-1] += np.einsum("lnk,lnk->l", values[:-1], values[1:])
+        number += f.usable.sum(1 - axis) * len(f.contrasts)
+    known = number > 0
+    if known.sum() < _FEWEST_LINES:
+        return None
+    level = float(power[known].sum() / number[known].sum())
+    beyond = np.where(known, power / np.maximum(number, 1) / level - 1, 0.0)
+    pairs = known[:-1] & known[1:]
+    together = np.sqrt(np.maximum(beyond[:-1], 0) * np.maximum(beyond[1:], 0)) * pairs
+    alike = product[:-1] / np.maximum(number[:-1], 1) / level
+    alike = np.where(pairs, alike - np.median(alike[pairs]), 0.0)
+    power_of = float(np.sum(together**2))
+    share = float(np.sum(alike * together)) / max(power_of, 1e-30)
+    error = 1 / np.sqrt(float(np.median(number[known])) * max(power_of, 1e-30))
+    if share < max(_SURE * error, _SHARE):
+        return None
+    share = min(share, 1.0)
+    said = (
+        f"neighbouring {axes.varies_over}s share {100 * share:.0f} % of what makes them loud, frame by frame"
+    )
     return Doubt(share, (said,), instead=True)
 
 
