@@ -30,6 +30,9 @@ from cannoise_jax.signatures.signature import (
     unchanged,
 )
 
+VARIANCE_CURVE = "variance curve"
+"""Law of a variance that follows no straight line over the signal."""
+
 
 def stated_score(
     fields,
@@ -180,7 +183,7 @@ def bent(recorded: Recorded, *, name: str, covers: tuple[str, ...]) -> Signature
     """A variance that does not follow a straight line."""
     return _files(
         name=name,
-        axes=Axes("photons", "signal", "redrawn", "signal", "variance curve"),
+        axes=Axes("photons", "signal", "redrawn", "signal", VARIANCE_CURVE),
         score=partial(curve_score, baselines=recorded.baselines, step=recorded.step),
         covers=covers,
         simulate=NOT_SIMULATED,

@@ -51,10 +51,11 @@ class _Products(NamedTuple):
 
 
 def _products(field: Fields) -> _Products | None:
-    if field.kind not in DARK or field.before or field.frames < _FEWEST or not field.usable.any():
+    if field.kind not in DARK or field.frames < _FEWEST or not field.usable.any():
         return None
-    limited = [np.clip(x, -_FAR, _FAR) * field.usable for x in each_frame(field, static=False)]
     matrix = helmert(field.frames)
+    among = field._replace(contrasts=field.contrasts[: len(matrix)], before=0)
+    limited = [np.clip(x, -_FAR, _FAR) * field.usable for x in each_frame(among, static=False)]
     values = np.einsum("nt,tij->nij", matrix.astype(np.float32), np.stack(limited))
     values = np.stack([bank.without_lines(v) for v in values]) * field.usable
     flat = values.reshape(len(values), -1)
@@ -156,8 +157,8 @@ def in_time_absorb(fields: Many, score: Score) -> Many:
             continue
         values, vectors = np.linalg.eigh(found.products)
         root = vectors @ np.diag(1 / np.sqrt(np.maximum(values, _LEAST))) @ vectors.T
-        contrasts = np.einsum("kn,nij->kij", root.astype(np.float32), f.contrasts)
-        out.append(f._replace(contrasts=contrasts))
+        among = np.einsum("kn,nij->kij", root.astype(np.float32), f.contrasts[: len(root)])
+        out.append(f._replace(contrasts=np.concatenate([among, f.contrasts[len(root) :]])))
     return tuple(out)
 
 

@@ -24,9 +24,14 @@ from cannoise_jax.physics.core.sensor_draws import closed_moments
 from cannoise_jax.physics.core.settings import Settings, black_levels
 from cannoise_jax.physics.transfer.faults import Faults
 from cannoise_jax.recordings.recording import DARK
+from cannoise_jax.signatures.curve import VARIANCE_CURVE
 
 _KNOWN = 0.5
 """Relative error of a read noise that only flats tell, up to which it counts as measured."""
+_BENT = (
+    "the gain is that of a straight line, and the variance of the flats bends: it may be off by some per cent: "
+    "record three or more exposures of one steady lamp, which tell the curve"
+)
 _OF_PIXELS = ("readout", "pixel", "redrawn", "add")
 """Where the noise of single pixels enters, and how."""
 _SURE = 3.0
@@ -141,7 +146,7 @@ def measured(diagnosis: Result) -> dict[float | None, Measured]:
 
 def not_measured(diagnosis: Result) -> list[str]:
     """A line for every ISO of which the baseline was not measured: what, and what to record, unless a fault
-    of the recordings says it."""
+    of the recordings says it; and one where no straight line tells the gain."""
     out = []
     for iso, (gain, read, _) in measured(diagnosis).items():
         wrong, at = diagnosis.faults.get(iso, Faults()), at_iso(iso)
@@ -154,6 +159,9 @@ def not_measured(diagnosis: Result) -> list[str]:
             )
         if not read and not wrong.cut_off:
             out.append(f"the read noise{at} was not measured: record two or more darks of a short exposure")
+    laws = {s.named.signature.axes.law for s in diagnosis.fitted.steps if s.named.mechanism == UNKNOWN}
+    if VARIANCE_CURVE in laws and any(m.gain_measured for m in measured(diagnosis).values()):
+        out.append(_BENT)
     return out
 
 
