@@ -29,8 +29,8 @@ from cannoise_jax.signatures.curve import VARIANCE_CURVE
 _KNOWN = 0.5
 """Relative error of a read noise that only flats tell, up to which it counts as measured."""
 _BENT = (
-    "the gain is that of a straight line, and the variance of the flats bends: it may be off by some per cent: "
-    "record three or more exposures of one steady lamp, which tell the curve"
+    "the gain is that of a straight line, and the variance of the flats bends: it may be off by some per "
+    "cent: record three or more exposures of one steady lamp, which tell the curve"
 )
 _OF_PIXELS = ("readout", "pixel", "redrawn", "add")
 """Where the noise of single pixels enters, and how."""
