@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from cannoise_jax.commands.compiled import processor
+from cannoise_jax.commands.compiled import caches, processor
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -32,16 +32,27 @@ _XLA = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
 _XLA += " --xla_cpu_parallel_codegen_split_count=1"
 if version("jaxlib").startswith("0.10."):
     os.environ.setdefault("XLA_FLAGS", _XLA)
+
+
+def _kept_folder() -> Path | None:
+    """For compiled programs, beside that of the commands; None where none can be written."""
+    try:
+        folder = caches() / "compiled-in-tests" / processor()
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, RuntimeError):  # RuntimeError: no home folder
+        return None
+    return folder if os.access(folder, os.W_OK) else None
+
+
 # What one test compiles later ones load: on both processes, in the commands that they start, and in the next
-# run of this checkout, which compiles only programs that have changed since. One folder, which with a limit
-# on its size JAX locks while it reads or writes. `pytest --cache-clear` empties it.
+# run of this or another checkout, which compiles only programs that have changed since: the name of each is a
+# hash of all that it is made from. With a limit on the folder's size JAX locks it while it reads or writes.
 _locks = find_spec("filelock") is not None  # without: a folder for each process, kept no longer than it
 if "PYTEST_XDIST_WORKER" not in os.environ or not _locks:
-    if _locks and os.access(ROOT, os.W_OK):
+    _folder = _kept_folder() if _locks else None
+    if _folder is not None:
         from filelock import FileLock
 
-        _folder = ROOT / ".pytest_cache" / "d" / f"compiled-{processor()}"
-        _folder.mkdir(parents=True, exist_ok=True)
         with FileLock(_folder / ".lockfile"):
             # A process that was killed while it wrote left a part, or no time: JAX mends neither.
             for _part in _folder.glob("*-cache"):
@@ -96,20 +107,22 @@ def pytest_addoption(parser):
 
 
 FIRST = (
-    "training/test_loop",
-    "test_sampling",
-    "commands/test_train",
-    "training/test_level",
-    "evaluation/test_model_suites",
-    "discovery/test_diagnose",
-    "commands/test_diagnose",
-    "discovery/test_model",
-    "commands/test_sample",
+    "discovery/test_own_mechanism",
     "blind/test_development",
-    "training/test_devices",
-    "training/test_step",
-    "commands/test_fleet",
+    "training/test_loop",
+    "discovery/test_diagnose",
+    "test_sampling",
+    "training/test_level",
+    "discovery/test_model",
+    "discovery/test_report",
     "commands/test_denoise",
+    "evaluation/test_model_suites",
+    "commands/test_fleet",
+    "commands/test_train",
+    "commands/test_diagnose",
+    "training/test_step",
+    "commands/test_sample",
+    "training/test_devices",
     "fuzz/test_fuzz",
 )
 """Files that take minutes: begun first, so that no process is left alone with one of them at the end."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 from cannoise_jax.commands.parser import OneLineParser
@@ -28,19 +30,39 @@ def main(argv: list[str] | None = None) -> int:
         return 2
     # Paths that were named: only those tests, no linting.
     selected = any(not a.startswith("-") and Path(a.partition("::")[0]).exists() for a in rest)
-    steps = [] if selected else [["ruff", "check", "."], ["ruff", "format", "--check", "."], ["mypy"]]
+    steps = [] if selected else [["ruff", "check", "."], ["ruff", "format", "--check", "."]]
     # A file's tests on one process: they share what is costly to make.
     shared = ["-n", "2", "--dist", "loadfile", "--no-loadscope-reorder", "--durations=20"]
     steps.append(["pytest", *shared, *arguments])
-    for step in steps:
-        print("$", " ".join(step), flush=True)
+    try:
+        with nullcontext() if selected else _beside(root, "mypy") as types:
+            for step in steps:
+                print("$", " ".join(step), flush=True)
+                if status := subprocess.run([sys.executable, "-m", *step], cwd=root).returncode:
+                    return status
+            return types() if types else 0
+    except KeyboardInterrupt:
+        return 130
+
+
+@contextmanager
+def _beside(root: Path, tool: str) -> Iterator[Callable[[], int]]:
+    """Within it the tool works on one core while the tests begin; the yielded function waits for it, prints
+    what it said and returns its status."""
+    command = [sys.executable, "-m", tool]
+    with subprocess.Popen(
+        command, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    ) as process:
+
+        def end() -> int:
+            said = process.communicate()[0]
+            print(f"$ {tool}\n{said}", end="", flush=True)
+            return process.returncode
+
         try:
-            status = subprocess.run([sys.executable, "-m", *step], cwd=root).returncode
-        except KeyboardInterrupt:
-            return 130
-        if status:
-            return status
-    return 0
+            yield end
+        finally:
+            process.kill()
 
 
 if __name__ == "__main__":

@@ -124,14 +124,21 @@ def _largest_step(codes: np.ndarray, counts: np.ndarray) -> tuple[int, np.ndarra
     """The largest step that carries 95 % of the weight, and which codes lie on its lattice."""
     weight = np.minimum(counts, max(1.0, counts.sum() / 1000))
     heaviest = np.argsort(-counts, kind="stable")
-    steps = np.arange(1, _LARGEST_STEP + 1, dtype=np.int32)
     codes = codes.astype(np.int32)  # whose remainders take half the time
-    sample = heaviest[:64]
+    # On the lattice of a step beyond their range one code lies alone.
+    steps = np.arange(1, min(_LARGEST_STEP, int(np.ptp(codes))) + 1, dtype=np.int32)
+    sample, first = heaviest[:64], heaviest[:16]
+    total = weight[sample].sum()
     best = (1, np.ones(len(codes), bool))
+
+    def fits(steps: np.ndarray, some: np.ndarray, origin: int) -> np.ndarray:
+        return ((codes[some, None] - origin) % steps == 0).T @ weight[some]
+
     # The three most frequent codes as origins: one of them may be a clip level off the lattice.
     for origin in codes[heaviest[:3]]:
-        fits = ((codes[sample, None] - origin) % steps == 0).T @ weight[sample]
-        for step in steps[fits >= 0.9 * weight[sample].sum()][::-1]:
+        # Whoever misses more among the first than may be missed among all is out.
+        likely = steps[fits(steps, first, origin) >= weight[first].sum() - 0.11 * total]
+        for step in likely[fits(likely, sample, origin) >= 0.9 * total][::-1]:
             if step <= best[0]:
                 break
             on_lattice = (codes - origin) % step == 0

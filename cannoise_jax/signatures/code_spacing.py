@@ -24,7 +24,7 @@ def occurrences(stacks, fields: tuple[Fields, ...], chosen, step: float) -> Occu
     """Occurrences of every code in all recordings, and the codes that should have occurred: the means of the
     pixels, spread by the least noise of each sixteenth of the signals."""
     size = int(65536 // step) + 1
-    counts, expected = np.zeros(size), np.zeros(size)
+    values, expected = np.zeros(65536), np.zeros(size)
     for s, f in zip(stacks, fields, strict=True):
         used = f.usable & (f.sigma > 1.0 * step)
         if used.mean() < 0.02:
@@ -50,7 +50,10 @@ def occurrences(stacks, fields: tuple[Fields, ...], chosen, step: float) -> Occu
             )
         for t in frames:
             frame = np.asarray(s.recording.frames[t : t + 1])[0]
-            counts += np.bincount((frame // step).astype(np.int64).ravel(), minlength=size)
+            found = np.bincount(frame.astype(np.int64).ravel())
+            values[: found.size] += found
+    stored = np.flatnonzero(values)  # few: to divide every pixel takes long
+    counts = np.bincount((stored // step).astype(np.int64), weights=values[stored], minlength=size)
     index = np.flatnonzero(expected > _LEAST)
     return Occurred(index, expected[index], counts[index] == 0, step)
 

@@ -240,6 +240,7 @@ def _rails(stacked: Stack, first: int) -> tuple[float, float]:
 
 def collect_codes(capture, stacks, fields, chosen, step: float) -> Codes:
     """Histograms of the stored codes: of pixels with broad noise, and of every dark."""
+    of_value = (np.arange(65536) // step).astype(np.int64)
     broad = np.zeros(int(65536 // step) + 1)
     dark, lowest = [], []
     narrowest = np.inf
@@ -256,7 +257,7 @@ def collect_codes(capture, stacks, fields, chosen, step: float) -> Codes:
             continue
         counts = np.zeros_like(broad)
         for t in chosen[s.number][:16]:
-            frame = (np.asarray(s.recording.frames[t : t + 1])[0] // step).astype(np.int64)
+            frame = of_value[np.asarray(s.recording.frames[t : t + 1])[0]]
             if wide.any():
                 broad += np.bincount(frame[wide], minlength=broad.size)
             if is_dark:
