@@ -6,6 +6,7 @@ import pytest
 from cannoise_jax.discovery.frames.splits import splits_of
 from cannoise_jax.discovery.proof.excess import Excess, excess
 from cannoise_jax.discovery.proof.judged import own_effects, searched
+from cannoise_jax.discovery.proof.lowered import shares
 from cannoise_jax.discovery.report.excess import too_much
 from cannoise_jax.discovery.report.page import verdict
 from cannoise_jax.discovery.search import declare
@@ -56,6 +57,36 @@ def slow_rows(sigma):
 def test_rows_that_neighbours_share_are_no_noise_of_single_rows():
     assert names(slow_rows(2.0), rows(2.0)) == ["row_noise"]
     assert not names(slow_rows(2.0), slow_rows(2.0))
+
+
+def wave(down, across, peak=1.5):
+    """A sinusoid over the frame at a phase of its own in every one."""
+
+    def law(rng):
+        y, x = np.mgrid[:96, :128]
+        return lambda dn, *_: (
+            dn + peak * np.cos(2 * np.pi * (down * y + across * x) + rng.uniform(0, 2 * np.pi))
+        )
+
+    return law
+
+
+def test_a_wave_at_another_frequency_is_not_that_of_the_simulator():
+    """The recordings have one as strong, elsewhere."""
+    assert names(wave(0.31, 0.11), wave(0.17, 0.23)) == ["banding"]
+    assert not names(wave(0.31, 0.11), wave(0.31, 0.11))
+
+
+def glow(rate):
+    """Charge near a corner, DN a second."""
+    y, x = np.mgrid[:96, :128]
+    shape = np.exp(-np.hypot(y, x) / 30)
+    return lambda rng: lambda dn, signal, kind, exposure: dn + rng.poisson(shape * rate * exposure)
+
+
+def test_a_glow_that_the_recordings_lack_is_too_much():
+    assert "amp_glow" in names(None, glow(800.0))
+    assert not names(glow(800.0), glow(800.0))
 
 
 @pytest.mark.parametrize("law", [rows, pytest.param(fixed, marks=pytest.mark.slow)])
@@ -115,3 +146,9 @@ def test_pixels_of_the_same_unit_are_told_too_weak_or_too_strong(times, sign):
 def test_pixels_as_strong_or_of_another_unit_are_not():
     assert not hot_of(warm(1.0), warm(1.0))
     assert not hot_of(warm(1.0), warm(0.7, elsewhere=True))
+
+
+def test_too_many_pixels_of_another_unit_go_as_a_whole():
+    (found,) = hot_of(warm(0.4), warm(2.0, elsewhere=True))
+    assert found.elsewhere and found.sign == "too much"
+    assert shares([found]) == {"hot_pixels": 0.0}

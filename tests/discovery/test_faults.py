@@ -12,6 +12,7 @@ from cannoise_jax.discovery.frames.faults import (
     FaultWarning,
     fault_lines,
     faults_of,
+    within_light,
     without_moving,
     without_moving_flats,
 )
@@ -215,3 +216,39 @@ def test_flats_that_move_are_said_as_the_table_of_calibrating_does():
 def test_sound_recordings_have_no_faults():
     for wrong in faults_of(capture_set(1)).values():
         assert not any(wrong)
+
+
+def covered(dark):
+    """A flat whose pixels of `dark` get no light, and darks."""
+    light = np.where(dark, 0.0, 3000.0)
+    return CaptureSet("c", (recording("flat", light, count=8), recording("dark", count=8)))
+
+
+ROW, COLUMN = np.mgrid[: SIZE[0], : SIZE[1]]
+
+
+@pytest.mark.parametrize(
+    ("dark", "rows", "columns"),
+    [
+        (COLUMN >= 111, slice(0, 96), slice(0, 110)),
+        ((ROW < 9) | (COLUMN < 14), slice(10, 96), slice(14, 128)),
+        (np.hypot(ROW - 48, COLUMN - 64) > 60, None, None),
+    ],
+    ids=["overscan", "two edges", "image circle"],
+)
+def test_frames_are_cut_to_where_light_falls(dark, rows, columns):
+    capture = covered(dark)
+    cut, found = within_light(capture, faults_of(capture))
+    flat = np.asarray(cut.recordings[0].frames).mean(0)
+    assert flat.min() > 200 + 0.5 * GAIN * 3000 and all(n % 2 == 0 for n in flat.shape)
+    if rows is not None:
+        for r, whole in zip(cut.recordings, capture.recordings, strict=True):
+            np.testing.assert_array_equal(np.asarray(r.frames), whole.frames[:, rows, columns])
+    assert flat.size > 0.5 * np.sum(~dark)
+    (line,) = fault_lines(found)
+    assert "no light reaches" in line and "all frames are cut to rows" in line
+
+
+def test_a_dead_block_within_the_frame_cuts_nothing_off():
+    capture = covered((abs(ROW - 50) < 7) & (abs(COLUMN - 40) < 7))
+    assert within_light(capture, faults_of(capture))[0] is capture

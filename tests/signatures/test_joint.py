@@ -210,3 +210,17 @@ def test_the_error_of_a_strength_does_not_depend_on_its_unit(unit):
         sigma, error, _ = told[name]
         assert sigma == pytest.approx(true, rel=0.2)
         assert 0.01 < error / sigma < 0.1
+
+
+def test_columns_of_a_law_with_long_tails_are_all_of_the_map():
+    """A few columns are seven times as far off as most: half of the variance is theirs."""
+    (field,) = white(np.random.default_rng(3), kinds=("dark",), frames=16, size=(64, 160), sigma=2.0)
+    columns = 0.5 * np.random.default_rng(4).standard_normal((1, 160))
+    columns[0, [20, 77, 130]] = 3.5, -3.5, 3.5
+    static = field.static + columns / 2.0 * np.sqrt(16)
+    signature = SIGNATURES["column_additive_static"]
+    fields = (field._replace(static=static.astype(np.float32)),)
+    score = signature.score(fields)
+    left = signature.absorb(fields, score)
+    (told,) = joint.strengths(left, [joint.FrozenMap(*signature.map_of, score.payload)])
+    assert told.sigma == pytest.approx(float(np.sqrt(np.mean(columns**2))), rel=0.03)

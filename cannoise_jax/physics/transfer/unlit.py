@@ -57,8 +57,9 @@ def unlit(s: FrameStatistics, black: Sequence[float]) -> Bool[np.ndarray, "H W"]
     if _CLEAR * max(noise) / _SIDE > _DARK:
         return none
     dark = ndimage.uniform_filter(light, _SIDE) < _DARK
-    # A mean beside the light holds some of it.
-    return ndimage.binary_dilation(dark, np.ones((_SIDE, _SIDE), bool)) & (light < 2 * _DARK)
+    # A mean beside the light holds some of it; a part that is thinner than that goes on beside a thicker one.
+    around = np.ones((3, 3), bool)
+    return ndimage.binary_dilation(dark, around, iterations=2 * _SIDE, mask=light < 2 * _DARK)
 
 
 def without_unlit(statistics: Sequence[FrameStatistics]) -> list[FrameStatistics]:
