@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from cannoise_jax.signatures import (
     behind_gain,
+    channel_levels,
     clocking,
     code_spacing,
     codes,

@@ -273,7 +273,7 @@ ENTRIES: tuple[Entry, ...] = (
         ),
         needs="darks, and a stated black level",
         signatures=lambda recorded: (
-            looks.levels.black_of_channels(recorded, name="black_channels", parameter="sigma_dn",
+            looks.channel_levels.black_of_channels(recorded, name="black_channels", parameter="sigma_dn",
                 covers=("black_channels",)),
         ),
         estimator=Estimator(codes.channel_offset, reported="(the measured black level is in the baseline)"),

@@ -225,10 +225,7 @@ def pixel_absorb(fields: tuple[Fields, ...], score: Score[float], *, scaling: st
         return left
     # Offsets that are not found yet are no charge: those of a column would make it louder or quieter.
     rate = own_charge(fields)
-    if rate is None:
-        gain = fields[0].gain[channel_index(apart.shape)]
-        rate = posterior(sums.score, sums.information, score.payload)[0] / np.maximum(gain, 1e-30)
-    return steadied(left, rate, (sums.information > 0) & ~apart)
+    return left if rate is None else steadied(left, rate, (sums.information > 0) & ~apart)
 
 
 def own_score(fields: tuple[Fields, ...]) -> Score | None:

@@ -55,6 +55,9 @@ _BEYOND = 8
 """Values of normal noise that lie beyond where its fourth moment is cut off."""
 
 
+_LIGHTEST = 2.0
+"""Negative excess kurtosis of two values that are as likely: no law has more. What shows more, as shot noise
+of another skewness than its gain says, is none of read noise."""
 _ALIKE = 0.8
 """Of the largest share of read noise, as a fourth moment has it, that from which darks are of one law."""
 
@@ -130,8 +133,12 @@ def kurtosis_score(fields: tuple[Fields, ...], *, tails: int = 1) -> Score | Non
             excess = _excess_kurtosis(shape)
             amplitude = excess / most
             error = float(doubt * abs(_excess_kurtosis(shape + 0.01) - excess) / 0.01) / most
+    if tails > 0:
+        log_p = skewed_log_p(z, _HE4_SKEWNESS * cubes / squares**1.5, 1)
+    else:
+        log_p = normal_log_p(z, 1) if kappa < _LIGHTEST else 0.0
     return Score(
-        log_p=skewed_log_p(z, _HE4_SKEWNESS * cubes / squares**1.5, 1) if tails > 0 else normal_log_p(z, 1),
+        log_p=log_p,
         gain=gain,
         penalty=0.5 * float(np.log(squares)),
         amplitude=float(amplitude),
