@@ -22,6 +22,7 @@ from cannoise_jax.signatures import (
     groups,
     hot,
     in_time,
+    jumps_beside,
     lattice,
     levels,
     light,

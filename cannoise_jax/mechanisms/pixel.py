@@ -240,6 +240,8 @@ ENTRIES: tuple[Entry, ...] = (
             looks.telegraph.jumping(name="telegraph", mechanism="rts", covers=looks.NOISY,
                                     fixed="hot_additive", growing="hot_thermal",
                                     imprints=imprints.STANDING_OUT),
+            looks.jumps_beside.beside_a_map(name="telegraph_beside", after="pixel_spread",
+                                            simulate=looks.telegraph.simulated, covers=looks.COVERS_NOTHING),
         ),
         estimator=Estimator(telegraph.rts, white=True, law="telegraph", loud=telegraph.telegraph_sites,
                             maps=measured.telegraph),

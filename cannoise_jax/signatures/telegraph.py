@@ -171,6 +171,13 @@ _OWN = 0.3
 jump are off in the mean too. It is half for jumps of 3 to 9 standard deviations, none for fixed offsets."""
 
 
+def simulated(found: Found) -> Addition:
+    """Pixels that are in either level half of the time, at their places; the pattern is half of each jump."""
+    jump, share = (found.score.parameters[k][0] for k in ("jump", "fraction"))
+    sites = {} if found.pattern is None else {"sites": as_map(found.pattern / (jump / 2))}
+    return Addition({"jump_dn": jump, "fraction": share, "rate": 0.5}, sites)
+
+
 def jumping(
     *, name: str, mechanism: str, covers: tuple[str, ...], fixed: str, growing: str, imprints: tuple[str, ...]
 ) -> Signature:
@@ -185,11 +192,6 @@ def jumping(
         if score.payload:
             more = [max(off, warm), *(max(scores[n].evidence, 0.0) for n in imprints if n in scores)]
         return ((mechanism, score.evidence + sum(more)),)
-
-    def simulate(found: Found) -> Addition:
-        jump, share = (found.score.parameters[k][0] for k in ("jump", "fraction"))
-        sites = {} if found.pattern is None else {"sites": as_map(found.pattern / (jump / 2))}
-        return Addition({"jump_dn": jump, "fraction": share, "rate": 0.5}, sites)
 
     def detectable(asked: Asked, score: Score, mechanism: str) -> float:
         frames: dict[int, int] = {}
@@ -213,7 +215,7 @@ def jumping(
         rare=True,
         predict=NO_LAW,
         pattern=lambda fields, score, rng: noisy_map(fields, score.parameters["fraction"][0]),
-        simulate=simulate,
+        simulate=simulated,
         place=placed(BLINKING),
         detectable=detectable,
         readings=readings,

@@ -284,7 +284,8 @@ def _active(
     found = [(s.named.signature, s.named.score) for s in steps]
     names = {p.name for p, _ in found}
     doubtful = given_up | {n for p, score in found for n in (*p.covers, *p.hides(score))}
-    before = {"", *({p.name for p, score in found if score.evidence > _STANDS_FAR_OUT} - doubtful)}
+    by_others = given_up | {n for p, score in found for n in (*p.covers, *p.hides(score)) if n != p.name}
+    before = {"", *({p.name for p, score in found if score.evidence > _STANDS_FAR_OUT} - by_others)}
     return tuple(p for p in signatures if p.name not in doubtful | names and p.after in before)
 
 

@@ -1,0 +1,194 @@
+"""Pixels that jump between levels where every pixel has a read noise of its own: how noisy a pixel is does
+not tell them there, how its frames lie does.
+
+The frames of a normal pixel over their own standard deviation have one law, whatever that is (Basu's
+theorem), so the likelihood of two levels over that of normal noise of the same variance is drawn from one law
+for all pixels that do not jump. The noisiest are held against pixels as loud as most; of each pixel the frame
+that is farthest off is left out, which may be a hit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy import special
+
+from cannoise_jax.signatures.charge_noise import by_charge, own_charge
+from cannoise_jax.signatures.fields import each_frame, without_pixels
+from cannoise_jax.signatures.handed import Addition, Found, Many
+from cannoise_jax.signatures.known_shape import darks
+from cannoise_jax.signatures.plain import plain
+from cannoise_jax.signatures.score import SHARE_OF_FEW, Score, normal_log_p
+from cannoise_jax.signatures.signature import BLINKING, Axes, Signature
+from cannoise_jax.signatures.squares import READS, dark_sigma, square_map
+
+_NOISY = 0.04
+"""Share of the pixels, the noisiest, that are looked at: of one in a hundred that jumps nearly all."""
+_FRAMES, _FEWEST = 8, 40
+"""Frames of all darks together, and pixels, from which on they are."""
+_MOST = 400_000
+"""Values that are looked at."""
+_HIGH = (0.2, 0.35, 0.5, 0.65, 0.8)
+"""Shares of the time in the higher of two levels that are tried: rarer ones are single outliers."""
+_WITHIN = (0.08, 0.2, 0.35, 0.5)
+"""Of a pixel's variance, that within a level, shares that are tried."""
+_PLACES = 12
+"""Places of the mean of a recording between the levels that are tried."""
+_MOST_NATS = 8.0
+"""What one pixel may count."""
+_SHARE = 0.05
+"""Of the pixels that are looked at, that are taken to jump."""
+
+
+class Levels(NamedTuple):
+    """Of every pixel the log-likelihood of the best two levels over that of normal noise of its own variance,
+    and the distance of these levels over its standard deviation."""
+
+    ratio: Float[np.ndarray, "k"]
+    jump: Float[np.ndarray, "k"]
+
+
+def levels_over_normal(frames: list[Float[np.ndarray, "t k"]]) -> Levels:
+    """frames: of each recording, in any unit."""
+    kept = _without_farthest(frames)
+    number = [k.sum(0) for k in kept]
+    about = [
+        (x - np.sum(x * k, 0) / np.maximum(n, 1)) * k for x, k, n in zip(frames, kept, number, strict=True)
+    ]
+    freedom = sum(len(x) - 1 for x in frames) - 1
+    scale = np.sqrt(np.maximum(sum(np.sum(x**2, 0) for x in about) / freedom, 1e-30))
+    best, jump = np.full(scale.shape, -np.inf), np.zeros(scale.shape)
+    for within in _WITHIN:
+        for share in _HIGH:
+            apart = float(np.sqrt((1 - within) / (share * (1 - share))))
+            found = sum(_at_two(x / scale, k, apart, share, within) for x, k in zip(about, kept, strict=True))
+            jump, best = np.where(found > best, apart, jump), np.maximum(best, found)
+    return Levels(best + 0.5 * freedom, jump)
+
+
+def _without_farthest(frames: list[Float[np.ndarray, "t k"]]) -> list[Bool[np.ndarray, "t k"]]:
+    """Which frames are kept: all but the one that lies farthest off the median of its recording."""
+    off = np.concatenate([np.abs(x - np.median(x, 0)) for x in frames])
+    kept = np.ones(off.shape, bool)
+    kept[np.argmax(off, 0), np.arange(off.shape[1])] = False
+    return np.split(kept, np.cumsum([len(x) for x in frames])[:-1])
+
+
+def _at_two(
+    x: Float[np.ndarray, "t k"], kept: Bool[np.ndarray, "t k"], apart: float, share: float, within: float
+) -> np.ndarray:
+    """Log-likelihood of frames about their mean, which lies at the likeliest place between two levels."""
+    best = np.full(x.shape[1], -np.inf)
+    for place in np.linspace(0, 1, _PLACES + 1):
+        low = np.log1p(-share) - 0.5 * (x + place * apart) ** 2 / within
+        high = np.log(share) - 0.5 * (x + (place - 1) * apart) ** 2 / within
+        best = np.maximum(best, np.sum(np.where(kept, np.logaddexp(low, high), 0.0), 0))
+    return best - 0.5 * kept.sum(0) * np.log(within)
+
+
+class _Jumping(NamedTuple):
+    """Of the pixels that are looked at: where, the chance that each jumps, and by how much, in units of the
+    noise of most. above: by how much they speak for levels more than ordinary ones do, and its error."""
+
+    at: np.ndarray
+    chance: np.ndarray
+    jump: np.ndarray
+    above: tuple[float, float]
+
+
+def _look(fields: Many) -> _Jumping | None:
+    found, seen = square_map(fields), [f for f in darks(fields) if f.frames > 2]
+    if found is None or sum(f.frames for f in seen) < _FRAMES:
+        return None
+    squares, usable, freedom = found
+    most = min(int(_NOISY * usable.sum()), _MOST // sum(f.frames for f in seen))
+    order = np.flatnonzero(usable)[np.argsort(squares[usable])]
+    if most < _FEWEST:
+        return None
+    noisy, middle = order[-most:], order[len(order) // 4 : -len(order) // 4]
+    ordinary = middle[np.linspace(0, len(middle) - 1, most).astype(int)]
+    charge = own_charge(fields)
+
+    def levels(pixels: np.ndarray) -> Levels:
+        frames = []
+        for f in seen:
+            noise = np.broadcast_to(np.sqrt(by_charge(f, charge)), f.mean.shape).ravel()[pixels]
+            frames.append(np.stack([frame.ravel()[pixels] for frame in each_frame(f, static=False)]) / noise)
+        return levels_over_normal(frames)
+
+    own, plain_ones = levels(noisy), levels(ordinary)
+    a, b = (np.minimum(v.ratio, _MOST_NATS) for v in (own, plain_ones))
+    # The best of many laws of levels: over ordinary pixels its likelihood has the mean of one.
+    mean = float(special.logsumexp(b)) - np.log(most)
+    each, others = (np.log1p(_SHARE * np.expm1(v - mean)) for v in (a, b))
+    error = float(np.sqrt((np.var(each) + np.var(others)) / most))
+    ratio, share = a - mean, _SHARE
+    for _ in range(50):
+        chance = share * np.exp(ratio) / (1 - share + share * np.exp(ratio))
+        share = float(np.clip(chance.mean(), 1e-6, 0.9))
+    spread = np.sqrt(squares.ravel()[noisy] / freedom)
+    return _Jumping(noisy, chance, own.jump * spread, (float(np.mean(each) - np.mean(others)), error))
+
+
+def beside_score(fields: Many) -> Score[np.ndarray] | None:
+    """Payload: the jumps, DN, at the pixels that more likely jump than not `[h, w]`."""
+    found = _look(fields)
+    if found is None:
+        return None
+    size = fields[0].mean.shape
+    sigma, (above, error) = dark_sigma(tuple(darks(fields))), found.above
+    z = above / max(error, 1e-12)
+    number = float(found.chance.sum())
+    jumps = np.zeros(size[0] * size[1])
+    jumps[found.at] = np.where(found.chance > 0.5, found.jump * sigma, 0.0)
+    mean = float(np.sum(found.chance * found.jump)) / max(number, 1e-12)
+    share = number / jumps.size
+    # A pixel is as often in either level as not: its variance is a quarter of the square of the jump.
+    amplitude = sigma * float(np.sqrt(np.sum(found.chance * found.jump**2) / 4 / jumps.size))
+    doubt = 1 / np.sqrt(max(number, 1.0))
+    return Score(
+        log_p=normal_log_p(z, 1),
+        gain=0.5 * max(z, 0.0) ** 2,
+        penalty=SHARE_OF_FEW,
+        amplitude=amplitude,
+        error=amplitude * doubt,
+        shift=amplitude / max(z, 1.0),
+        power=1,
+        parameters={
+            "fraction": (share, "1", share * doubt),
+            "jump": (mean * sigma, "DN", mean * sigma * doubt),
+        },
+        where={"axis": "pixel", "pixels": int(np.count_nonzero(jumps))},
+        payload=jumps.reshape(size),
+    )
+
+
+def _without(fields: Many, score: Score[np.ndarray]) -> Many:
+    return without_pixels(tuple(fields), score.payload > 0)
+
+
+def beside_a_map(
+    *, name: str, after: str, simulate: Callable[[Found], Addition], covers: tuple[str, ...]
+) -> Signature:
+    """Pixels that jump, looked for once each has a read noise of its own. after: the signature of that, in
+    which they are counted until then."""
+
+    def pattern(fields: Many, score: Score[np.ndarray], rng: np.random.Generator) -> Bool[np.ndarray, "h w"]:
+        return score.payload / 2
+
+    return plain(
+        name=name,
+        axes=Axes("readout", "pixel", BLINKING.time, "additive", "two levels"),
+        reads=READS,
+        score=beside_score,
+        absorb=_without,
+        pattern=pattern,
+        simulate=simulate,
+        covers=covers,
+        after=after,
+        found_in=(after,),
+        single_pixels=True,
+    )

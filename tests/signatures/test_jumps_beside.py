@@ -1,0 +1,72 @@
+"""Pixels that jump are told from pixels that have a read noise of their own, whatever its law."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cannoise_jax.signatures.fields import helmert
+from tests.discovery.looks import SIGNATURES, white
+
+SIZE, FRAMES, SIGMA = (96, 128), 16, 3.0
+LOOK = SIGNATURES["telegraph_beside"]
+_RNG = np.random.default_rng
+
+
+def darks(seed, alter):
+    """Darks whose frames `[T, H, W]` of white noise are altered so, by what stays of a camera unit."""
+    rng, unit, out = _RNG([11, seed]), _RNG([12, seed]), []
+    stays = (
+        unit.standard_normal(SIZE),
+        unit.random(SIZE),
+        unit.uniform(0.15, 0.85, SIZE),
+        unit.gamma(4, 0.25, SIZE),
+    )
+    for f in white(rng, kinds=("dark",) * 3, frames=FRAMES, size=SIZE, sigma=SIGMA):
+        frames = alter(rng, *stays)
+        contrasts = np.einsum("nt,tij->nij", helmert(FRAMES), frames).astype(np.float32)
+        out.append(f._replace(contrasts=contrasts))
+    return tuple(out)
+
+
+def normal(rng, map_of, *_):
+    return np.exp(0.35 * map_of) * rng.standard_normal((FRAMES, *SIZE))
+
+
+def long_tails(rng, map_of, *_):
+    return np.exp(0.35 * map_of) * rng.standard_t(5, (FRAMES, *SIZE))
+
+
+def hit(rng, map_of, *_):
+    return normal(rng, map_of) + 30.0 * (rng.random((FRAMES, *SIZE)) < 3e-4)
+
+
+@pytest.mark.parametrize("law", [normal, long_tails, hit])
+def test_noise_of_each_pixels_own_makes_no_jumps(law):
+    chances = np.exp([LOOK.score(darks(seed, law)).log_p for seed in range(8)])
+    assert min(chances) > 1e-3 and np.exp(np.mean(np.log(chances))) > 0.1
+
+
+def jumping(rng, map_of, chosen, high, jump, share=0.01):
+    frames = normal(rng, map_of)
+    return frames + 4.0 * jump * (chosen < share) * (rng.random(frames.shape) < high)
+
+
+def test_jumps_are_found_with_their_size_and_places():
+    fields = darks(1, jumping)
+    found = LOOK.score(fields)
+    unit = _RNG([12, 1])
+    _, chosen, high, jump = (
+        unit.standard_normal(SIZE),
+        unit.random(SIZE),
+        unit.uniform(0.15, 0.85, SIZE),
+        unit.gamma(4, 0.25, SIZE),
+    )
+    true = chosen < 0.01
+    variance = true * (4.0 * SIGMA * jump) ** 2 * high * (1 - high)
+    assert found.log_p < -12
+    assert found.amplitude == pytest.approx(np.sqrt(variance.mean()), rel=0.25)
+    sites = LOOK.pattern(fields, found, _RNG(0)) > 0
+    assert np.mean(true[sites]) > 0.85 and np.mean(sites[true]) > 0.35
+    left = LOOK.score(LOOK.absorb(fields, found))
+    assert left.log_p > np.log(1e-4)
