@@ -112,7 +112,8 @@ def test_the_error_of_a_signed_value_is_its_spread_without_an_effect(name):
 
 UNTOLD = {
     "moving, reference_shift, reference_blur, warm, lag_in_time, row_turns_temporal": "norms, of recordings",
-    "clocking, hits, corrected, lattice, taps, telegraph_beside": "zero without an effect, which recordings alone show",
+    "clocking, hits, corrected, lattice, taps": "zero without an effect, which recordings alone show",
+    "telegraph_beside": "of the few pixels that seem to jump",
     "tap_gains": "zero without steps",
     "kurtosis, light_tails, pixel_spread, taps_redrawn": "told of one side alone: zero on the other",
     "row_spread, column_spread": "zero on the side where lines differ by less than chance",
