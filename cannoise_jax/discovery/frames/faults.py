@@ -93,8 +93,8 @@ def without_moving_flats(
 
 
 def within_light(
-    capture: CaptureSet, found: Mapping[float | None, Faults]
-) -> tuple[CaptureSet, Mapping[float | None, Faults]]:
+    capture: CaptureSet, found: dict[float | None, Faults]
+) -> tuple[CaptureSet, dict[float | None, Faults]]:
     """The recordings cut to the part of the frame that light reaches in all flats, and the faults of that,
     where it does not reach the rest: overscan that no header states would be sensitivity, dark current and
     columns of the camera. Both unchanged where no such part holds most of the light."""
