@@ -11,10 +11,12 @@ import pytest
 from cannoise_jax import diagnose
 from cannoise_jax.discovery.compare.run import compare_bank
 from cannoise_jax.discovery.frames.splits import prepare_split, split_recordings
-from cannoise_jax.discovery.report.outcome import baseline, not_measured
+from cannoise_jax.discovery.report.outcome import baseline, not_measured, unnamed_read
 from cannoise_jax.discovery.search.declare import registered
 from cannoise_jax.discovery.search.fit import stepwise
 from cannoise_jax.discovery.search.model import baseline_model
+from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import BadInput, CaptureSet
 from cannoise_jax.recordings.usable import LeftOutWarning
 from tests.discovery.capture import capture_set, offset_map, response_map
@@ -288,3 +290,18 @@ def test_flats_that_noise_clips_at_the_white_level_are_not_full_wells():
 def test_pixels_that_hardly_ever_move_are_diagnosed():
     """Read noise of a fifth of a code: darks of which most pixels hold one value."""
     found(capture_set(11, gain=1.5, read=0.2 / 1.5, size=(64, 96)))
+
+
+@pytest.mark.parametrize(
+    ("name", "point", "variance"),
+    [
+        ("unknown_tails", Point("readout", "signal", "pixel", "redrawn", distribution="tukey_lambda"), 4.0),
+        ("unknown_rows", Point("readout", "signal", "row", "redrawn"), 0.0),
+        ("named", Point("readout", "signal", "pixel", "redrawn"), 0.0),
+    ],
+)
+def test_noise_of_pixels_without_a_name_is_read_noise(name, point, variance):
+    model = SensorModel.poisson_gaussian(1.5, 3.0, 200.0, 16383.0, "RGGB")
+    shape = {"tukey_lambda": 0.3} if "tails" in name else {}
+    more = unnamed_read(model.with_mechanism(name, point=point, sigma_dn=2.0, **shape))
+    np.testing.assert_allclose(more, np.full((1, 4), variance), rtol=1e-4)

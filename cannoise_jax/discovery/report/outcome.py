@@ -65,7 +65,7 @@ def baseline(diagnosis: Result) -> list[dict[str, Any]]:
         for b in diagnosis.first.baselines
     }
     gain, black = np.asarray(model.gain_dn_per_e), black_levels(model)
-    read = np.sqrt(np.asarray(model.read_noise_e) ** 2 + _unnamed_read(model) / np.maximum(gain, 1e-30) ** 2)
+    read = np.sqrt(np.asarray(model.read_noise_e) ** 2 + unnamed_read(model) / np.maximum(gain, 1e-30) ** 2)
     stated = {float(np.float32(number)): iso for iso, number in diagnosis.first.isos.items()}
     told = measured(diagnosis)
     isos = np.asarray(model.iso).tolist()
@@ -97,7 +97,7 @@ def baseline(diagnosis: Result) -> list[dict[str, Any]]:
     ]
 
 
-def _unnamed_read(model: SensorModel) -> Float[np.ndarray, "g 4"]:
+def unnamed_read(model: SensorModel) -> Float[np.ndarray, "g 4"]:
     """Variance of the noise of pixels in the dark that has no name, DN^2, by gain setting and site: of other
     tails, or alike in neighbours, it was measured within the read noise, and taken out of it."""
 
