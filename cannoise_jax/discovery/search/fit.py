@@ -7,7 +7,7 @@ sooner, but no frame is left to confirm it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Set
+from collections.abc import Callable, Iterable, Sequence, Set
 from typing import NamedTuple
 
 import numpy as np
@@ -198,7 +198,11 @@ def second_look(
         for p in signatures
         if p.name in last.scores and last.scores[p.name].log_p < np.log(SHARED.candidate)
     )
-    fields = _again(steps, every(), tell)[1]
+    fields = every()
+    for number, step in enumerate(steps):
+        tell(f"all frames: {number} of {len(steps)}")
+        # Fields of all frames before each step are not kept: they are as large as the recordings.
+        fields = without(_fitted_anew(step, fields).named, fields, fields)
     together = locate(fields, doubtful, tests)
     named = name(together, doubtful, allowed, log_alpha + float(np.log(SHARED.together)))
     if named is None:
@@ -289,16 +293,18 @@ def _active(
     return tuple(p for p in signatures if p.name not in doubtful | names and p.after in before)
 
 
-def _again(
-    steps: list[Step], fields: tuple[Fields, ...], tell: Callable[[str], None] = lambda text: None
-) -> tuple[list[Step], tuple[Fields, ...]]:
+def _fitted_anew(step: Step, fields: tuple[Fields, ...]) -> Step:
+    """The step with the score that it has in these fields."""
+    named = step.named._replace(score=step.named.signature.score(fields) or step.named.score)
+    return step._replace(named=named, before=fields)
+
+
+def _again(steps: Sequence[Step], fields: tuple[Fields, ...]) -> tuple[list[Step], tuple[Fields, ...]]:
     """The steps fitted anew from the start, each beside those before it, and what is left of the fields."""
     out = []
-    for number, step in enumerate(steps):
-        tell(f"all frames: {number} of {len(steps)}")
-        named = step.named._replace(score=step.named.signature.score(fields) or step.named.score)
-        out.append(step._replace(named=named, before=fields))
-        fields = without(named, fields, fields)
+    for step in steps:
+        out.append(_fitted_anew(step, fields))
+        fields = without(out[-1].named, fields, fields)
     return out, fields
 
 
