@@ -5,19 +5,21 @@ Whittle likelihood: under the baseline the power of every Fourier mode is expone
 
 from __future__ import annotations
 
-from functools import partial
+from collections.abc import Callable
+from functools import lru_cache, partial
 from typing import Literal
 
 import numpy as np
 from scipy import fft, optimize
 
-from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.core.fields import power_law_correlation
+from cannoise_jax.physics.core.grammar import Point, amplitude_name
 from cannoise_jax.physics.likelihood.whittle import white_level, whittle
 from cannoise_jax.signatures.added import placed, strength
 from cannoise_jax.signatures.answers import less_shared
 from cannoise_jax.signatures.fields import Fields, map_contrasts
 from cannoise_jax.signatures.group_sums import held_variance
-from cannoise_jax.signatures.handed import Found, Many, Predicted, Series
+from cannoise_jax.signatures.handed import Addition, Found, Many, Predicted, Series
 from cannoise_jax.signatures.least import (
     Law,
     Seen,
@@ -202,6 +204,14 @@ def _held_by_scan(field: Fields, v: float, exponent: float) -> np.ndarray:
     return np.array((full.sum() - level * seen) / max(float(np.sum(full * w**2)), 1e-30))
 
 
+@lru_cache(maxsize=32)
+def _within_frames(exponent: float, length: int) -> float:
+    """Standard deviation within a frame of 1/f noise that is drawn at one of 1 in all (`fields.colour`)."""
+    correlation = np.asarray(power_law_correlation(exponent, length), np.float64)
+    alike = 2 * np.sum((1 - np.arange(length) / length) * correlation) - correlation[0]
+    return float(np.sqrt(max(1 - alike / length, 0.1)))
+
+
 def slope(
     scan: Literal["raster", "row"],
     *,
@@ -210,13 +220,23 @@ def slope(
     covers: tuple[str, ...],
 ) -> Signature:
     """1/f noise along the raster scan, or from row to row."""
-    rows = scan == "row"
+    rows, point = scan == "row", Point("readout", "signal", scan, "redrawn", spectrum="power_law")
 
     def predict(fields: Many, score: Score) -> Predicted:
         return Predicted("additive", row=score.amplitude, exponent=float(score.parameters["exponent"][0]))
 
     def beside(found: Found) -> dict[str, float]:
         return {"exponent": found.score.parameters["exponent"][0]}
+
+    def whole(add: Callable[[Found], Addition], name_of_all: str) -> Callable[[Found], Addition]:
+        """The strength within a frame, as it is found, of which a draw has a share in the means of frames."""
+
+        def simulate(found: Found) -> Addition:
+            more, length = add(found), found.size[0] if rows else found.size[0] * found.size[1]
+            kept = _within_frames(round(found.score.parameters["exponent"][0], 3), length)
+            return more._replace(values={**more.values, name_of_all: more.values[name_of_all] / kept})
+
+        return simulate
 
     def series(field: Fields, score: Score[tuple[float, float]]) -> Series | None:
         if not len(field.contrasts):
@@ -240,8 +260,8 @@ def slope(
         covers=covers,
         predict=predict if rows else NO_LAW,
         pattern=NO_PATTERN,
-        simulate=strength(parameter, beside=beside),
-        place=placed(Point("readout", "signal", scan, "redrawn", spectrum="power_law"), beside=beside),
+        simulate=whole(strength(parameter, beside=beside), parameter),
+        place=whole(placed(point, beside=beside), amplitude_name(point)),
         detectable=BY_SHIFT,
         least=least,
         moves_frames=below_frame,
