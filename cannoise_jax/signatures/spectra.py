@@ -6,13 +6,13 @@ Whittle likelihood: under the baseline the power of every Fourier mode is expone
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache, partial
+from functools import partial
 from typing import Literal
 
 import numpy as np
 from scipy import fft, optimize
 
-from cannoise_jax.physics.core.fields import power_law_correlation
+from cannoise_jax.physics.core.fields import within_frame
 from cannoise_jax.physics.core.grammar import Point, amplitude_name
 from cannoise_jax.physics.likelihood.whittle import white_level, whittle
 from cannoise_jax.signatures.added import placed, strength
@@ -204,14 +204,6 @@ def _held_by_scan(field: Fields, v: float, exponent: float) -> np.ndarray:
     return np.array((full.sum() - level * seen) / max(float(np.sum(full * w**2)), 1e-30))
 
 
-@lru_cache(maxsize=32)
-def _within_frames(exponent: float, length: int) -> float:
-    """Standard deviation within a frame of 1/f noise that is drawn at one of 1 in all (`fields.colour`)."""
-    correlation = np.asarray(power_law_correlation(exponent, length), np.float64)
-    alike = 2 * np.sum((1 - np.arange(length) / length) * correlation) - correlation[0]
-    return float(np.sqrt(max(1 - alike / length, 0.1)))
-
-
 def slope(
     scan: Literal["raster", "row"],
     *,
@@ -233,7 +225,7 @@ def slope(
 
         def simulate(found: Found) -> Addition:
             more, length = add(found), found.size[0] if rows else found.size[0] * found.size[1]
-            kept = _within_frames(round(found.score.parameters["exponent"][0], 3), length)
+            kept = within_frame(round(found.score.parameters["exponent"][0], 3), length)
             return more._replace(values={**more.values, name_of_all: more.values[name_of_all] / kept})
 
         return simulate

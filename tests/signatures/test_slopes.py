@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from cannoise_jax.physics.core.fields import colour, within_frame
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.physics.core.settings import Settings
 from cannoise_jax.signatures.fields import helmert, refit
@@ -50,3 +51,10 @@ def test_draws_have_the_rows_of_the_recordings(sigma):
     drawn = np.asarray(model.sample(jax.random.key(2), jnp.zeros(SIZE), settings), float)
     pixels = (NOISE**2 + 1 / 12) / SIZE[1]
     assert within(drawn) - pixels == pytest.approx(np.mean(recorded), rel=0.1)
+
+
+@pytest.mark.parametrize("exponent", [0.5, 1.0, 1.5])
+def test_the_strength_within_a_frame_is_that_of_draws(exponent):
+    white_noise = np.random.default_rng(5).standard_normal((20_000, 2 * SIZE[0]))
+    rows = np.asarray(colour(jnp.asarray(white_noise, jnp.float32), exponent))
+    assert np.sqrt(rows.var(1).mean()) == pytest.approx(within_frame(exponent, SIZE[0]), rel=0.01)

@@ -12,9 +12,10 @@ from scipy import stats
 from cannoise_jax.discovery.frames.battery import Prepared
 from cannoise_jax.discovery.frames.calibrate import ordinary_variance, own_variance
 from cannoise_jax.discovery.frames.contrasts import FLICKER, Stack, steady_variance
+from cannoise_jax.physics.core.fields import within_frame
 from cannoise_jax.physics.core.mechanism import Mechanism
 from cannoise_jax.physics.core.places import place
-from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.physics.core.sensor import Fitted, SensorModel, Settings
 from cannoise_jax.physics.core.sensor_draws import closed_moments
 from cannoise_jax.physics.core.settings import IsoTable, of_larger_gain
 from cannoise_jax.signatures.fields import channel_index, native
@@ -184,6 +185,19 @@ def _variance(model: SensorModel, level: float, settings: Settings, channel: np.
     return np.where(own - steady > FLICKER * steady, steady, own)
 
 
+def _within_frames(fitted: Fitted, size: tuple[int, int]) -> Fitted:
+    """1/f noise at the strength that it has within a frame: what its slow part gives the means of frames is
+    what whole frames share."""
+    point, exponent = fitted.record.point, fitted.parameters.get("exponent")
+    if point.spectrum != "power_law" or exponent is None or isinstance(exponent, IsoTable):
+        return fitted
+    (length,) = place(point.over).sites(size, (1, 1))
+    strength = fitted.record.parameters[0].name
+    kept = within_frame(round(float(np.asarray(exponent)), 3), length)
+    values = {**fitted.parameters, strength: fitted.parameters[strength] * kept}
+    return dataclasses.replace(fitted, parameters=values)
+
+
 def _closed_variance_of(
     model: SensorModel,
     kept_if: Callable[[Mechanism], bool],
@@ -194,7 +208,7 @@ def _closed_variance_of(
 ) -> np.ndarray:
     """As `_variance`, of the mechanisms that are `kept_if`. freedom: of the recordings that it is compared
     with, whose mean leaves out pixels far noisier than the others."""
-    kept = tuple(f for f in model.mechanisms if kept_if(f.record))
+    kept = tuple(_within_frames(f, channel.shape) for f in model.mechanisms if kept_if(f.record))
     model = dataclasses.replace(model, mechanisms=kept)
     values = np.asarray(closed_moments(model, np.full(channel.shape, level, np.float32), settings)[1])
     if freedom:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -165,6 +167,14 @@ def power_law_correlation(exponent, length: int) -> Float[Array, "n"]:
     """Correlation of a power-law sequence of a length at all its lags."""
     circle = 2 * length
     return jnp.fft.irfft(_shaping(circle, exponent) ** 2, circle)[:length]
+
+
+@functools.lru_cache(maxsize=64)
+def within_frame(exponent: float, length: int) -> float:
+    """Standard deviation about its mean over the length of a power-law sequence that is drawn at one of 1."""
+    correlation = np.asarray(power_law_correlation(exponent, length), np.float64)
+    of_mean = (2 * np.sum((1 - np.arange(length) / length) * correlation) - correlation[0]) / length
+    return float(np.sqrt(max(1 - of_mean, 0.1)))
 
 
 def correlations(exponent, over: str, size: tuple[int, int]) -> dict[int, Array]:
