@@ -76,17 +76,13 @@ def _beside_frames(
     """The products, one on the diagonal, without what frames that are each of another noise give them: that
     shows in the squares as well, which scatter by more."""
     upper, size = np.triu_indices(len(products), 1), len(products)
-    terms = np.vstack([matrix[upper[0]] * matrix[upper[1]], matrix**2 / _SQUARES])
-    fit = np.linalg.pinv(terms)
-
-    def beside(of_pairs: np.ndarray, of_squares: np.ndarray) -> np.ndarray:
-        return of_pairs - terms[: len(of_pairs)] @ (fit @ np.concatenate([of_pairs, of_squares / _SQUARES]))
-
-    left = beside(products[upper], np.diag(products))
+    terms = matrix[upper[0]] * matrix[upper[1]]
+    fit = np.linalg.pinv(np.vstack([terms, matrix**2 / _SQUARES]))
+    # What is left is linear in the products and squares, and so is what a frame has of the next.
+    pairs = np.eye(len(terms)) - terms @ fit[:, : len(terms)]
+    squares = -terms @ fit[:, len(terms) :] / _SQUARES
+    left = pairs @ products[upper] + squares @ np.diag(products)
     next_one = matrix[:, :-1] @ matrix[:, 1:].T / (matrix.shape[1] - 1)
-    # What is left is linear in the products, and so is what a frame has of the next.
-    pairs = np.eye(left.size) - terms[: left.size] @ fit[:, : left.size]
-    squares = -terms[: left.size] @ fit[:, left.size :] / _SQUARES
     wanted = (next_one + next_one.T)[upper]
     spread = np.linalg.norm(np.concatenate([wanted @ pairs, np.sqrt(2) * wanted @ squares]))
     out = np.eye(size)
