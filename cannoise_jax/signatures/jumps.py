@@ -76,16 +76,25 @@ def jumps_over_noise(frames: list[Float[np.ndarray, "t k"]]) -> Float[np.ndarray
             for share in shares:
                 jump = np.sqrt(np.maximum(variance - base, 0) / (traps * share * (1 - share)))
                 levels = stats.binom.logpmf(np.arange(traps + 1), traps, share)
-                best = np.maximum(best, sum(_at_levels(x, jump, levels, base) for x in frames))
+                best = np.maximum(best, sum(at_levels(x, jump, levels, base) for x in frames))
     return best - normal - 0.5 * np.log(freedom)
 
 
-def _at_levels(x: Float[np.ndarray, "t k"], jump: np.ndarray, levels: np.ndarray, base: float) -> np.ndarray:
+def at_levels(
+    x: Float[np.ndarray, "t k"],
+    jump: Float[np.ndarray, "k"] | float,
+    levels: Float[np.ndarray, "n"],
+    base: float,
+    kept: Bool[np.ndarray, "t k"] | None = None,
+    most: int = _OFFSETS,
+) -> Float[np.ndarray, "k"]:
     """Log-likelihood of frames about their mean, which lies at the likeliest place between the levels.
-    levels: log share of the time in each."""
-    best = np.full(jump.shape, -np.inf)
-    steps = min(_OFFSETS, (levels.size - 1) * len(x))
+    levels: log share of the time in each. kept: frames that count, all where not given. most: places that
+    are tried."""
+    best, number = np.full(x.shape[1], -np.inf), len(x) if kept is None else kept.sum(0)
+    steps = min(most, (levels.size - 1) * len(x))
     for place in np.linspace(0, levels.size - 1, steps + 1):
         each = [w - 0.5 * (x + (place - n) * jump) ** 2 / base for n, w in enumerate(levels)]
-        best = np.maximum(best, np.sum(np.logaddexp.reduce(each), 0))
-    return best - 0.5 * len(x) * np.log(base)
+        told = np.logaddexp.reduce(each)
+        best = np.maximum(best, np.sum(told if kept is None else np.where(kept, told, 0.0), 0))
+    return best - 0.5 * number * np.log(base)

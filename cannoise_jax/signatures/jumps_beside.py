@@ -19,6 +19,7 @@ from scipy import special
 from cannoise_jax.signatures.charge_noise import by_charge, own_charge
 from cannoise_jax.signatures.fields import each_frame, without_pixels
 from cannoise_jax.signatures.handed import Addition, Found, Many
+from cannoise_jax.signatures.jumps import at_levels
 from cannoise_jax.signatures.known_shape import darks
 from cannoise_jax.signatures.plain import plain
 from cannoise_jax.signatures.score import SHARE_OF_FEW, Score, normal_log_p
@@ -67,7 +68,11 @@ def levels_over_normal(frames: list[Float[np.ndarray, "t k"]]) -> Levels:
     for within in _WITHIN:
         for share in _HIGH:
             apart = float(np.sqrt((1 - within) / (share * (1 - share))))
-            found = sum(_at_two(x / scale, k, apart, share, within) for x, k in zip(about, kept, strict=True))
+            levels = np.log([1 - share, share])
+            found = sum(
+                at_levels(x / scale, apart, levels, within, k, _PLACES)
+                for x, k in zip(about, kept, strict=True)
+            )
             jump, best = np.where(found > best, apart, jump), np.maximum(best, found)
     return Levels(best + 0.5 * freedom, jump)
 
@@ -78,18 +83,6 @@ def _without_farthest(frames: list[Float[np.ndarray, "t k"]]) -> list[Bool[np.nd
     kept = np.ones(off.shape, bool)
     kept[np.argmax(off, 0), np.arange(off.shape[1])] = False
     return np.split(kept, np.cumsum([len(x) for x in frames])[:-1])
-
-
-def _at_two(
-    x: Float[np.ndarray, "t k"], kept: Bool[np.ndarray, "t k"], apart: float, share: float, within: float
-) -> np.ndarray:
-    """Log-likelihood of frames about their mean, which lies at the likeliest place between two levels."""
-    best = np.full(x.shape[1], -np.inf)
-    for place in np.linspace(0, 1, _PLACES + 1):
-        low = np.log1p(-share) - 0.5 * (x + place * apart) ** 2 / within
-        high = np.log(share) - 0.5 * (x + (place - 1) * apart) ** 2 / within
-        best = np.maximum(best, np.sum(np.where(kept, np.logaddexp(low, high), 0.0), 0))
-    return best - 0.5 * kept.sum(0) * np.log(within)
 
 
 class _Jumping(NamedTuple):
