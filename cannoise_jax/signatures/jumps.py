@@ -12,11 +12,11 @@ depend on that standard deviation (Basu's theorem): that the pixels were chosen 
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy import stats
 
 from cannoise_jax.signatures.charge_noise import by_charge, own_charge
-from cannoise_jax.signatures.fields import each_frame
+from cannoise_jax.signatures.fields import Fields, each_frame
 from cannoise_jax.signatures.handed import Many
 from cannoise_jax.signatures.known_shape import darks
 
@@ -54,14 +54,23 @@ def merely_noisy(
         return False
     most = max(_MOST // sum(f.frames for f in seen), _FEWEST)
     noisy = noisy[:: -(-noisy.size // most)]
-    charge = own_charge(tuple(fields))
-    frames = []
-    for f in seen:
-        noise = np.broadcast_to(np.sqrt(by_charge(f, charge)), f.mean.shape).ravel()[noisy]
-        values = np.stack([frame.ravel()[noisy] for frame in each_frame(f, static=False)])
-        frames.append((values - values.mean(0)) * np.sqrt((f.frames - 1) / f.frames) / noise)
+    frames = [
+        (x - x.mean(0)) * np.sqrt((len(x) - 1) / len(x))
+        for x in frames_of(seen, noisy, own_charge(tuple(fields)))
+    ]
     each = np.clip(jumps_over_noise(frames), -_MOST_NATS, _MOST_NATS)
     return bool(np.mean(each) < -_SURE * np.std(each) / np.sqrt(each.size))
+
+
+def frames_of(
+    seen: list[Fields], pixels: Int[np.ndarray, "k"], charge: Float[np.ndarray, "h w"] | None
+) -> list[Float[np.ndarray, "t k"]]:
+    """Of every dark the frames of some pixels, by number, in units of the noise that their charge leaves."""
+    out = []
+    for f in seen:
+        noise = np.broadcast_to(np.sqrt(by_charge(f, charge)), f.mean.shape).ravel()[pixels]
+        out.append(np.stack([frame.ravel()[pixels] for frame in each_frame(f, static=False)]) / noise)
+    return out
 
 
 def jumps_over_noise(frames: list[Float[np.ndarray, "t k"]]) -> Float[np.ndarray, "k"]:

@@ -16,10 +16,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import special
 
-from cannoise_jax.signatures.charge_noise import by_charge, own_charge
-from cannoise_jax.signatures.fields import each_frame, without_pixels
+from cannoise_jax.signatures.charge_noise import own_charge
+from cannoise_jax.signatures.fields import without_pixels
 from cannoise_jax.signatures.handed import Addition, Found, Many
-from cannoise_jax.signatures.jumps import at_levels
+from cannoise_jax.signatures.jumps import at_levels, frames_of
 from cannoise_jax.signatures.known_shape import darks
 from cannoise_jax.signatures.plain import plain
 from cannoise_jax.signatures.score import SHARE_OF_FEW, Score, normal_log_p
@@ -108,14 +108,7 @@ def _look(fields: Many) -> _Jumping | None:
     ordinary = middle[np.linspace(0, len(middle) - 1, most).astype(int)]
     charge = own_charge(fields)
 
-    def levels(pixels: np.ndarray) -> Levels:
-        frames = []
-        for f in seen:
-            noise = np.broadcast_to(np.sqrt(by_charge(f, charge)), f.mean.shape).ravel()[pixels]
-            frames.append(np.stack([frame.ravel()[pixels] for frame in each_frame(f, static=False)]) / noise)
-        return levels_over_normal(frames)
-
-    own, plain_ones = levels(noisy), levels(ordinary)
+    own, plain_ones = (levels_over_normal(frames_of(seen, at, charge)) for at in (noisy, ordinary))
     a, b = (np.minimum(v.ratio, _MOST_NATS) for v in (own, plain_ones))
     # The best of many laws of levels: over ordinary pixels its likelihood has the mean of one.
     mean = float(special.logsumexp(b)) - np.log(most)

@@ -224,8 +224,8 @@ def slope(
         """The strength within a frame, as it is found, of which a draw has a share in the means of frames."""
 
         def simulate(found: Found) -> Addition:
-            more, length = add(found), found.size[0] if rows else found.size[0] * found.size[1]
-            kept = within_frame(round(found.score.parameters["exponent"][0], 3), length)
+            more = add(found)
+            kept = within_frame(found.score.parameters["exponent"][0], scan, found.size)
             return more._replace(values={**more.values, name_of_all: more.values[name_of_all] / kept})
 
         return simulate

@@ -13,17 +13,23 @@ LOOK = SIGNATURES["telegraph_beside"]
 _RNG = np.random.default_rng
 
 
+def unit_of(seed):
+    """What stays of a camera unit `[H, W]`: a map of the noise, a number that chooses pixels, their share of
+    the time in the higher level, and their jump."""
+    rng = _RNG([12, seed])
+    return (
+        rng.standard_normal(SIZE),
+        rng.random(SIZE),
+        rng.uniform(0.15, 0.85, SIZE),
+        rng.gamma(4, 0.25, SIZE),
+    )
+
+
 def darks(seed, alter):
     """Darks whose frames `[T, H, W]` of white noise are altered so, by what stays of a camera unit."""
-    rng, unit, out = _RNG([11, seed]), _RNG([12, seed]), []
-    stays = (
-        unit.standard_normal(SIZE),
-        unit.random(SIZE),
-        unit.uniform(0.15, 0.85, SIZE),
-        unit.gamma(4, 0.25, SIZE),
-    )
+    rng, out = _RNG([11, seed]), []
     for f in white(rng, kinds=("dark",) * 3, frames=FRAMES, size=SIZE, sigma=SIGMA):
-        frames = alter(rng, *stays)
+        frames = alter(rng, *unit_of(seed))
         contrasts = np.einsum("nt,tij->nij", helmert(FRAMES), frames).astype(np.float32)
         out.append(f._replace(contrasts=contrasts))
     return tuple(out)
@@ -55,13 +61,7 @@ def jumping(rng, map_of, chosen, high, jump, share=0.01):
 def test_jumps_are_found_with_their_size_and_places():
     fields = darks(1, jumping)
     found = LOOK.score(fields)
-    unit = _RNG([12, 1])
-    _, chosen, high, jump = (
-        unit.standard_normal(SIZE),
-        unit.random(SIZE),
-        unit.uniform(0.15, 0.85, SIZE),
-        unit.gamma(4, 0.25, SIZE),
-    )
+    _, chosen, high, jump = unit_of(1)
     true = chosen < 0.01
     variance = true * (4.0 * SIGMA * jump) ** 2 * high * (1 - high)
     assert found.log_p < -12

@@ -57,4 +57,4 @@ def test_draws_have_the_rows_of_the_recordings(sigma):
 def test_the_strength_within_a_frame_is_that_of_draws(exponent):
     white_noise = np.random.default_rng(5).standard_normal((20_000, 2 * SIZE[0]))
     rows = np.asarray(colour(jnp.asarray(white_noise, jnp.float32), exponent))
-    assert np.sqrt(rows.var(1).mean()) == pytest.approx(within_frame(exponent, SIZE[0]), rel=0.01)
+    assert np.sqrt(rows.var(1).mean()) == pytest.approx(within_frame(exponent, "row", SIZE), rel=0.01)

@@ -191,9 +191,8 @@ def _within_frames(fitted: Fitted, size: tuple[int, int]) -> Fitted:
     point, exponent = fitted.record.point, fitted.parameters.get("exponent")
     if point.spectrum != "power_law" or exponent is None or isinstance(exponent, IsoTable):
         return fitted
-    (length,) = place(point.over).sites(size, (1, 1))
     strength = fitted.record.parameters[0].name
-    kept = within_frame(round(float(np.asarray(exponent)), 3), length)
+    kept = within_frame(float(np.asarray(exponent)), point.over, size)
     values = {**fitted.parameters, strength: fitted.parameters[strength] * kept}
     return dataclasses.replace(fitted, parameters=values)
 

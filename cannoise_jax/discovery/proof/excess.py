@@ -65,9 +65,9 @@ def excess(
         level = named.signature.frozen and not rare and not np.isfinite(named.score.drawn)
         if named.mechanism == UNKNOWN or signature is None:
             continue
-        if level and not (signature.beyond or signature.again or signature.strength):
-            continue
-        if level and held is not None and named.mechanism not in held and not signature.beyond:
+        trace = held is not None and named.mechanism not in held
+        again = (signature.again or signature.strength) and not trace
+        if level and not (signature.beyond or again):
             continue
         there = _strength(named.signature.quoted(named.score, named.mechanism))
         same = _at_its_places(step, recorded)

@@ -147,8 +147,8 @@ def measured(diagnosis: Result) -> dict[float | None, Measured]:
 def not_measured(diagnosis: Result) -> list[str]:
     """A line for every ISO of which the baseline was not measured: what, and what to record, unless a fault
     of the recordings says it; and one where no straight line tells the gain."""
-    out = []
-    for iso, (gain, read, _) in measured(diagnosis).items():
+    out, known = [], measured(diagnosis)
+    for iso, (gain, read, _) in known.items():
         wrong, at = diagnosis.faults.get(iso, Faults()), at_iso(iso)
         if not gain and not wrong.moves:
             stated = any(r.shot for r in diagnosis.capture.recordings if r.iso == iso)
@@ -160,7 +160,7 @@ def not_measured(diagnosis: Result) -> list[str]:
         if not read and not wrong.cut_off:
             out.append(f"the read noise{at} was not measured: record two or more darks of a short exposure")
     laws = {s.named.signature.axes.law for s in diagnosis.fitted.steps if s.named.mechanism == UNKNOWN}
-    if VARIANCE_CURVE in laws and any(m.gain_measured for m in measured(diagnosis).values()):
+    if VARIANCE_CURVE in laws and any(m.gain_measured for m in known.values()):
         out.append(_BENT)
     return out
 

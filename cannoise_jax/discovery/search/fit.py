@@ -287,8 +287,9 @@ def _active(
     is a step that stands out far."""
     found = [(s.named.signature, s.named.score) for s in steps]
     names = {p.name for p, _ in found}
-    doubtful = given_up | {n for p, score in found for n in (*p.covers, *p.hides(score))}
-    by_others = given_up | {n for p, score in found for n in (*p.covers, *p.hides(score)) if n != p.name}
+    covered = [(p.name, n) for p, score in found for n in (*p.covers, *p.hides(score))]
+    doubtful = given_up | {n for _, n in covered}
+    by_others = given_up | {n for own, n in covered if n != own}
     before = {"", *({p.name for p, score in found if score.evidence > _STANDS_FAR_OUT} - by_others)}
     return tuple(p for p in signatures if p.name not in doubtful | names and p.after in before)
 

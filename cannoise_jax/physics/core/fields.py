@@ -169,9 +169,14 @@ def power_law_correlation(exponent, length: int) -> Float[Array, "n"]:
     return jnp.fft.irfft(_shaping(circle, exponent) ** 2, circle)[:length]
 
 
+def within_frame(exponent: float, over: str, size: tuple[int, int]) -> float:
+    """Standard deviation within a frame of a power-law field along its axis that is drawn at one of 1."""
+    (length,) = place(over).sites(size, (1, 1))
+    return _about_mean(round(float(exponent), 3), length)
+
+
 @functools.lru_cache(maxsize=64)
-def within_frame(exponent: float, length: int) -> float:
-    """Standard deviation about its mean over the length of a power-law sequence that is drawn at one of 1."""
+def _about_mean(exponent: float, length: int) -> float:
     correlation = np.asarray(power_law_correlation(exponent, length), np.float64)
     of_mean = (2 * np.sum((1 - np.arange(length) / length) * correlation) - correlation[0]) / length
     return float(np.sqrt(max(1 - of_mean, 0.1)))

@@ -97,13 +97,10 @@ def lit_rectangle(statistics: Sequence[FrameStatistics]) -> tuple[slice, slice] 
     dark = np.isin(parts, edges[edges > 0])
     if not dark.any():
         return None
-    h, w = dark.shape
-    side = 2 * -(-max(h, w) // (2 * _CELLS))
-    cells = np.ones((h // side, w // side), bool)
-    for dy in range(side):
-        for dx in range(side):
-            cells &= ~dark[dy::side, dx::side][: h // side, : w // side]
-    top, left, rows, columns = _largest(cells)
+    side = 2 * -(-max(dark.shape) // (2 * _CELLS))
+    h, w = (n // side for n in dark.shape)
+    cells = dark[: h * side, : w * side].reshape(h, side, w, side)
+    top, left, rows, columns = _largest(np.logical_not(cells.any((1, 3))))
     if rows * columns * side**2 < _KEPT * np.sum(~dark):
         return None
     return slice(top * side, (top + rows) * side), slice(left * side, (left + columns) * side)
