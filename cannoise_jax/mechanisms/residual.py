@@ -40,14 +40,19 @@ def _nothing(key, values, context: Context):
 
 def _sample(key, x, values, maps, context: Context):
     size = context.size
-    whole = jnp.abs(maps["pixels"] - size[0] * size[1]) < 0.5
+    whole = jnp.all(jnp.abs(maps["pixels"] - size[0] * size[1]) < 0.5)
     lit = [k for k in range(KNOTS) if maps[f"level{k}"].size > 1]
     dark = maps["offset"].size > 1
     keys = jax.random.split(key, KNOTS + 2)
 
-    def shared(k, power):
-        waves = jnp.fft.fft2(sample_normal(keys[k], x.shape)) * jnp.sqrt(power)
-        return jnp.where(whole, jnp.fft.ifft2(waves).real, 0.0)
+    def shared(k, power, weight):
+        def drawn():
+            half = jnp.sqrt(jnp.broadcast_to(power, (1, *size))[..., : size[1] // 2 + 1])
+            waves = jnp.fft.rfft2(sample_normal(keys[k], x.shape)) * half
+            return weight * jnp.fft.irfft2(waves, size)
+
+        # Of a dark, or a flat of one level, all knots but one or two say nothing.
+        return jax.lax.cond(whole & jnp.any(weight > 0), drawn, lambda: jnp.zeros(x.shape))
 
     fixed = alone = noise = jnp.zeros((1, *size))
     for k, share in enumerate(_hats(context.mean_dn, [maps[f"level{n}"] for n in lit], dark)):
@@ -56,7 +61,7 @@ def _sample(key, x, values, maps, context: Context):
             fixed = fixed + share * (maps["offset"] + charge)
             own = maps["spread"] + maps["growth"] * context.exposure_s
             alone = alone + share * own
-            noise = noise + jnp.sqrt(share) * shared(KNOTS, maps["spectrum"])
+            noise = noise + shared(KNOTS, maps["spectrum"], jnp.sqrt(share))
             continue
         n = lit[k - int(dark)]
         beyond = (
@@ -64,7 +69,7 @@ def _sample(key, x, values, maps, context: Context):
         )
         fixed = fixed + share * beyond * maps[f"fixed{n}"]
         alone = alone + share * maps[f"unit{n}"] * maps[f"alone{n}"]
-        noise = noise + jnp.sqrt(share * maps[f"unit{n}"]) * shared(n, maps[f"power{n}"])
+        noise = noise + shared(n, maps[f"power{n}"], jnp.sqrt(share * maps[f"unit{n}"]))
     alone = sample_normal(keys[KNOTS + 1], x.shape) * jnp.sqrt(alone)
     return x + values["weight"] * (fixed + alone + noise)
 
