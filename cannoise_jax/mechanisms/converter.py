@@ -142,10 +142,12 @@ ENTRIES: tuple[Entry, ...] = (
         BLACK_CLIPPING,
         needs="darks",
         signatures=lambda recorded: (
-            # Levels cut off at black are far to one side, and their means curved, without more.
+            # Noise cut off at black is skewed and less where levels are lower, and means are curved, without
+            # more.
             looks.codes.piled_up(recorded, name="pile_up", parameter="level_dn",
-                covers=("pile_up", *looks.NOISY, *looks.CURVES, "black_level", "black_channels", "lags_any",
-                        "lags_read", "curvature")),
+                covers=("pile_up", *looks.SHAPES, *looks.CURVES, "black_level", "black_channels", "lags_any",
+                        "lags_read", "curvature", "row_spread", "column_spread", "dark_noise"),
+                off=looks.HOT),
         ),
         estimator=Estimator(codes.black_clipping, exact=True),
         examples=Examples("codes", dim=True, strong={"level_dn": 60.0},

@@ -268,10 +268,10 @@ ENTRIES: tuple[Entry, ...] = (
              22, "sensor", "DN", RMS, listed=110),
         HOT_PIXELS,
         needs="darks, best at a long exposure",
-        signatures=looks.always(
-            looks.hot.standing_out("additive", name="hot_additive", maps=looks.MAPS,
+        signatures=lambda recorded: (
+            looks.hot.standing_out(recorded, "additive", name="hot_additive", maps=looks.MAPS,
                 covers=("hot_thermal",), lifted_by=imprints.STANDING_OUT),
-            looks.hot.standing_out("exposure", name="hot_thermal", maps=looks.MAPS,
+            looks.hot.standing_out(recorded, "exposure", name="hot_thermal", maps=looks.MAPS,
                 covers=("hot_additive",), lifted_by=imprints.STANDING_OUT),
         ),
         estimator=Estimator(charge.hot_pixels, frozen=True, maps=measured.heat),

@@ -33,6 +33,8 @@ _SURE = 4.0
 """Standard errors by which a code must differ from its neighbours to be one of a comb."""
 
 
+_PILED = float(np.log(1e-4))
+"""log p from which on darks count as cut off."""
 _FEW = 20
 """Values at a code from which its count is told from chance."""
 _SLACK = 0.05
@@ -177,6 +179,12 @@ def clip_score(fields, *, codes: Codes, black: float) -> Score | None:
     return min(scores, key=lambda s: (s.log_p, s.amplitude), default=None)
 
 
+def cut_off(codes: Codes) -> bool:
+    """Whether values of darks pile up at their lowest code, so that noise and levels are skewed."""
+    found = clip_score((), codes=codes, black=0.0)
+    return found is not None and found.log_p < _PILED
+
+
 def _above_the_law(counts: np.ndarray) -> float:
     """log p of the count of the lowest code under the normal law that the next three codes follow: its log
     counts have a constant second difference. 0 where a fourth one does not follow it (a comb, tails), and for
@@ -260,15 +268,17 @@ def coarse(recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, 
     )
 
 
-def piled_up(recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...]) -> Signature:
+def piled_up(
+    recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...], off: tuple[str, ...]
+) -> Signature:
     """Values that are cut off at a rail above or below black: the shape of what is left is the rail's, so it
-    is judged first."""
+    is judged first. off: signatures of single pixels, which know of it (`cut_off`), but are told after."""
     return _of_codes(
         "pile-up",
         name=name,
         score=partial(clip_score, codes=recorded.codes, black=float(recorded.black.mean())),
         covers=covers,
-        before=lambda score: covers,
+        before=lambda score: (*covers, *off),
         rare=True,
         simulate=strength(parameter),
     )

@@ -6,11 +6,12 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy import special
+from scipy import special, stats
 
 from cannoise_jax.physics.core.mechanism import Scaling
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.added import as_map, placed
+from cannoise_jax.signatures.codes import cut_off
 from cannoise_jax.signatures.core_law import NORMAL, Core, left_open, skewed
 from cannoise_jax.signatures.fields import Fields, without_pixels
 from cannoise_jax.signatures.handed import Addition, Asked, Found, Many, Predicted
@@ -35,6 +36,7 @@ from cannoise_jax.signatures.rare import (
     log_mixture,
     spread_of,
 )
+from cannoise_jax.signatures.recorded import Recorded
 from cannoise_jax.signatures.score import LEAST_LOG_P, SHARE_OF_FEW, Score
 from cannoise_jax.signatures.signature import NO_CLOSED_FORM, OFFSETS, STATIC, Axes, Scales, Signature
 from cannoise_jax.signatures.sparse import hot_amplitude, hot_found
@@ -136,12 +138,19 @@ normal ones with hot pixels."""
 _TOLD = 4.0
 """Chi-square of a typical pixel that stands out by which one law of its heat is told from the other: both are
 as sure that it is hot, where it is so many standard deviations that these are no longer counted."""
+_BEYOND_CUT = 4.0
+"""Mean heat, in standard deviations of the levels of most pixels, from which on it is told from what a cut
+at the lowest code does: half of all values cut off, means of two frames look like hot pixels of 1.25."""
+_UPPER = (0.5, 0.977)
+"""Quantiles of the levels of darks that are cut off, between which their upper half spreads as far as two
+standard deviations: below the median they lie closer."""
 _HEALTHY = 2e-6
 """Share of healthy pixels that a report counts as hot."""
 
 
-def hot_score(fields: tuple[Fields, ...], *, scaling: str) -> Score[Heat] | None:
-    """A few pixels far above the others in the darks, at the same places in every frame."""
+def hot_score(fields: tuple[Fields, ...], *, scaling: str, cut: bool = False) -> Score[Heat] | None:
+    """A few pixels far above the others in the darks, at the same places in every frame. cut: whether the
+    darks are cut off at their lowest code, so that means of few frames are skewed."""
     sums = above_neighbours(fields, scaling)
     if sums is None:
         return None
@@ -150,13 +159,17 @@ def hot_score(fields: tuple[Fields, ...], *, scaling: str) -> Score[Heat] | None
         return None
     u = np.where(seen, sums.score / np.sqrt(np.where(seen, sums.information, 1.0)), 0.0).ravel()
     bulk = spread_of(u[seen.ravel()])
+    if cut:
+        median, high = np.quantile(u[seen.ravel()], _UPPER)
+        bulk = max(bulk, float(high - median) / float(stats.norm.ppf(_UPPER[1])))
     least = _lattice_spread(fields)
-    own = bulk > max(_STRONG, least) or any(f.answers.apart for f in fields)
+    own = cut or bulk > max(_STRONG, least) or any(f.answers.apart for f in fields)
     core, counts, (share, at, gain) = _core(u[seen.ravel()], max(bulk, least), own)
     out = (core.standard(u) > core.far(_HEALTHY)).reshape(seen.shape) & seen
     number = int(np.sum(out))
     better = follows_exposure(fields, out) or 0.0
     other_law = better > _TOLD if scaling == "additive" else better < -_TOLD
+    other_law |= cut and at < _BEYOND_CUT
     root = float(np.sqrt(np.median(sums.information[seen]))) / core.spread
     mixture = float(log_mixture(counts, core.table()))
     seconds = (
@@ -229,7 +242,13 @@ def _least(sets: tuple[Seen, ...]) -> Law:
 
 
 def standing_out(
-    scaling: Scales, *, name: str, maps: tuple[str, ...], covers: tuple[str, ...], lifted_by: tuple[str, ...]
+    recorded: Recorded,
+    scaling: Scales,
+    *,
+    name: str,
+    maps: tuple[str, ...],
+    covers: tuple[str, ...],
+    lifted_by: tuple[str, ...],
 ) -> Signature:
     """A few pixels far above the others in the darks. maps: signatures of maps of all pixels, which are
     judged once the pixels that stand out from them are gone."""
@@ -270,7 +289,7 @@ def standing_out(
         kin="hot",
         axes=Axes("readout", "pixel", "frozen", scaling, "sparse"),
         reads=STATIC,
-        score=partial(hot_score, scaling=scaling),
+        score=partial(hot_score, scaling=scaling, cut=cut_off(recorded.codes)),
         absorb=mask_hot,
         covers=covers,
         lifted_by=lifted_by,

@@ -292,3 +292,20 @@ def test_a_map_of_dark_current_holds_how_the_sites_of_the_mosaic_differ():
     sites = [[float(m[y::2, x::2].mean()) for y in (0, 1) for x in (0, 1)] for m in (drawn, rate)]
     drawn_apart, apart = (np.subtract(s, np.mean(s)) for s in sites)
     np.testing.assert_allclose(drawn_apart, apart, atol=0.25)
+
+
+@pytest.mark.parametrize("hot", [0.0, 1e-3])
+def test_darks_cut_off_at_black_show_hot_pixels_and_make_none(hot):
+    """Half of all values lie at code 0, offsets of pixels among them: the means of two frames are skewed."""
+    rng = np.random.default_rng(11)
+    for _ in range(3):
+        heat = (rng.random(SIZE) < hot) * rng.exponential(20.0, SIZE)
+        level = 0.5 + rng.normal(0, 0.3, SIZE) + heat
+        frames = np.round(np.maximum(level + rng.normal(0, 1.75, (2, *SIZE)), 0))
+        noise = float(np.std(frames[1] - frames[0])) / np.sqrt(2)
+        static = np.sqrt(2) * (frames.mean(0) - np.median(frames)) / noise
+        looked = hot_score((dark(static - static.mean(), 2),), scaling="additive", cut=True)
+        assert looked is not None
+        assert (looked.log_p < -50) if hot else (looked.log_p == 0.0)
+        if hot:
+            assert looked.amplitude * noise == pytest.approx(np.sqrt(np.mean(heat**2)), rel=0.35)
