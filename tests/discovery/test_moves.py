@@ -5,6 +5,7 @@ from __future__ import annotations
 import jax
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from cannoise_jax.discovery.compare.families import STATIC, STRUCTURE, of
 from cannoise_jax.discovery.compare.measure import shared, shared_variance
@@ -309,3 +310,23 @@ def test_a_wave_is_drawn_where_it_runs_and_at_its_own_frequency(over):
     else:
         assert place == "pixel" and told["frequency_y"] == pytest.approx(cycles, abs=3e-4)
         assert told["frequency_x"] == pytest.approx(cycles / 128, abs=3e-4)
+
+
+def test_lone_values_of_few_codes_do_not_jump_with_the_scale():
+    """Noise of 1.4 codes: a limit of so many standard deviations passes a code where these grow by a fiftieth,
+    and of values that are not spread over their codes a third fewer then lie beyond it."""
+    rng = np.random.default_rng(7)
+    codes = np.round(rng.normal(0.0, 1.4, (12, 240, 240))).astype(np.float32)
+    contrasts = np.tensordot(helmert(12).astype(np.float32), codes, 1)
+    usable = np.ones(codes.shape[1:], bool)
+
+    def counts(sigma: float, spread: bool) -> np.ndarray:
+        z, one = contrasts / np.float32(sigma), np.ones(usable.shape, np.float32)
+        return lone_values(z, one, usable, one / np.float32(sigma) if spread else None)[1].sum(0)
+
+    def share(sigma: float) -> float:
+        return norm.sf(JUMPS[1] * sigma / 1.43) - norm.sf(JUMPS[2] * sigma / 1.43)
+
+    apart = {spread: counts(1.48, spread)[1] / counts(1.45, spread)[1] for spread in (False, True)}
+    expected = share(1.48) / share(1.45)
+    assert abs(np.log(apart[True] / expected)) < 0.1 < abs(np.log(apart[False] / expected))

@@ -36,7 +36,7 @@ from cannoise_jax.discovery.compare.families import (
 )
 from cannoise_jax.discovery.compare.fixed_moments import moment_variance
 from cannoise_jax.discovery.compare.moves import lines_after, noise_of_lines
-from cannoise_jax.discovery.compare.view import RESIDUES, View
+from cannoise_jax.discovery.compare.view import FINE, RESIDUES, View
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.signatures import bank
 from cannoise_jax.signatures.fields import helmert
@@ -126,7 +126,7 @@ def unsteady(steadiness: Float[np.ndarray, "p"], n: int, grain: float) -> Statis
     """Pixels noisier and quieter than the others. steadiness: mean square of n contrasts. grain: step of the
     codes, standard deviations. Of few codes a mean square has few values, and a limit between two of them
     would jump with the level: contrasts are moved at random by as much as rounding moves them."""
-    if grain > _FINE:
+    if grain > FINE:
         rng, more = np.random.default_rng(1), grain**2 / 12
         along = np.sqrt(n * steadiness) + np.sqrt(more) * rng.standard_normal(steadiness.shape)
         across = more * rng.chisquare(n - 1, steadiness.shape) if n > 1 else 0.0
@@ -187,11 +187,6 @@ def is_coarse(variance: Float[np.ndarray, "4"], step: float) -> bool:
     return bool(np.sqrt(np.mean(variance)) < step)
 
 
-_FINE = 0.25
-"""Steps of the codes, in standard deviations, from which on the place of a limit between two of them counts:
-of a normal law 2.5 standard deviations out, a limit that moves by half a step moves counts by a third."""
-
-
 def _unit(
     z: np.ndarray, kept: np.ndarray, share: float, coarse: bool, more: np.ndarray | None
 ) -> dict[str, np.ndarray]:
@@ -224,7 +219,7 @@ def _units(
     def more() -> np.ndarray | None:
         return (rng.random(kept.shape, np.float32) - np.float32(0.5)) * np.float32(grain)
 
-    out = [_unit(z, kept, share, coarse, more() if grain > _FINE else None) for z in fields]
+    out = [_unit(z, kept, share, coarse, more() if grain > FINE else None) for z in fields]
     strength = np.mean([u[STRUCTURE] for u in out], 0).reshape(bank.counts(kept.shape).shape)
     return [
         {**u, SPARSITY: bank.sparsity(z, strength, share).ravel()} for u, z in zip(out, fields, strict=True)

@@ -31,11 +31,16 @@ def values_of(z: Float[np.ndarray, "n ..."], frame: int) -> Float[np.ndarray, ".
 
 
 def lone_values(
-    z: Float[np.ndarray, "n h w"], scale: Float[np.ndarray, "h w"], usable: Bool[np.ndarray, "h w"]
+    z: Float[np.ndarray, "n h w"],
+    scale: Float[np.ndarray, "h w"],
+    usable: Bool[np.ndarray, "h w"],
+    grain: Float[np.ndarray, "h w"] | None = None,
 ) -> tuple[Bool[np.ndarray, "h w"], Float[np.ndarray, "t k"]]:
     """Pixels whose noise is like the others' but for one outlying value, and how many values of every frame
-    lie off alone, by how far and to which side: first those below, the nearest first."""
-    frames = len(z) + 1
+    lie off alone, by how far and to which side: first those below, the nearest first. grain: step of the
+    codes, in units of the noise, over which values are spread before they are counted, so that no limit lies
+    between two codes; None where that is nothing."""
+    frames, rng = len(z) + 1, np.random.default_rng(0)
     if frames < 2:
         return np.zeros(z.shape[1:], bool), np.zeros((1, 2 * len(JUMPS)))
     total = np.sum(z**2, 0)
@@ -44,6 +49,8 @@ def lone_values(
     edges = np.array([*JUMPS, np.inf])
     for t in range(frames):
         moved = values_of(z, t)
+        if grain is not None:
+            moved = moved + grain * (rng.random(moved.shape, np.float32) - np.float32(0.5))
         far = usable & (np.abs(moved) > JUMPS[0] * np.sqrt(scale)) & (total - moved**2 < limit)
         size = moved[far] / np.sqrt(scale[far])
         for side, sign in enumerate((-1, 1)):

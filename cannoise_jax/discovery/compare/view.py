@@ -28,6 +28,11 @@ RESIDUES = (2, 4, 8, 16)
 """The stored codes are counted modulo each of these."""
 
 
+FINE = 0.25
+"""Steps of the codes, in standard deviations, from which on the place of a limit between two of them counts:
+of a normal law 2.5 standard deviations out, a limit that moves by half a step moves counts by a third."""
+
+
 class Noise(NamedTuple):
     """The simulator's noise of one recording: variance (DN^2) of every mosaic site at its signal knots."""
 
@@ -169,11 +174,12 @@ def bulk_variance(v: np.ndarray, dof: int) -> float:
     return float(v[v <= 60 * v.mean()].mean())
 
 
-def view(raw: Raw, noise: Noise, signal: np.ndarray, light: Light | None, coarse: bool = False) -> View:
+def view(
+    raw: Raw, noise: Noise, signal: np.ndarray, light: Light | None, step: float, coarse: bool = False
+) -> View:
     """The frames as the bank sees them under a simulator's noise; `light` None: their mean is not known.
-    coarse:
-    noise of less than a code takes few values, and a limit in units of its own scatter jumps from one to the
-    next: both sides are then counted beyond the same one."""
+    step: of the codes, DN. coarse: noise of less than a code takes few values, and a limit in units of its
+    own scatter jumps from one to the next: both sides are then counted beyond the same one."""
     weight = raw.usable / noise.sigma(signal)
     z = raw.contrasts * weight.astype(np.float32)
     n = len(z)
@@ -185,7 +191,9 @@ def view(raw: Raw, noise: Noise, signal: np.ndarray, light: Light | None, coarse
         inner = z[: raw.frames - 1]
         unsteady = odd & raw.usable
         jumping = moves.two_levels(inner[:, unsteady], scale[unsteady])
-        alone, single = moves.lone_values(inner, scale, raw.usable)
+        grain = step * weight
+        fine = float(np.median(grain[raw.usable])) <= FINE if raw.usable.any() else True
+        alone, single = moves.lone_values(inner, scale, raw.usable, None if fine else grain)
         odd |= alone
         steadiness = steadiness / scale
     level, static, static_kept = np.zeros(4), None, raw.usable & ~odd
