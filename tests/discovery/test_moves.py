@@ -313,8 +313,8 @@ def test_a_wave_is_drawn_where_it_runs_and_at_its_own_frequency(over):
 
 
 def test_lone_values_of_few_codes_do_not_jump_with_the_scale():
-    """Noise of 1.4 codes: a limit of so many standard deviations passes a code where these grow by a fiftieth,
-    and of values that are not spread over their codes a third fewer then lie beyond it."""
+    """Noise of 1.4 codes: a limit of so many standard deviations passes a code where these grow by a
+    fiftieth, and of values that are not spread over their codes a third fewer then lie beyond it."""
     rng = np.random.default_rng(7)
     codes = np.round(rng.normal(0.0, 1.4, (12, 240, 240))).astype(np.float32)
     contrasts = np.tensordot(helmert(12).astype(np.float32), codes, 1)
