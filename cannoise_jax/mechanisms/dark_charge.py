@@ -300,7 +300,7 @@ ENTRIES: tuple[Entry, ...] = (
         TEMPERATURE_DRIFT,
         needs="darks with the temperature of every frame stated",
         signatures=looks.always(
-            looks.warm.warming(name="warm", covers=("frame_additive",), lifted_by=imprints.WARM,
+            looks.warm.warming(name="warm", offsets=("frame_additive",), lifted_by=imprints.WARM,
                 beside={id: {"base": 0.0} for id in ("dark_current", "compensated_dark_current")}),
         ),
         examples=Examples("frames", shown={"e_per_s": 50.0, "sigma_k": 3.0},

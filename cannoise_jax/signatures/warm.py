@@ -91,12 +91,17 @@ def _noise(f: Fields) -> Float[np.ndarray, "h w"]:
     return f.sigma * f.louder
 
 
+def _whole(f: Fields) -> Float[np.ndarray, "h w"]:
+    """What an offset of the whole frame is in contrasts, of norm one: less where the noise is more."""
+    one = f.usable / _noise(f)
+    return one / np.sqrt(max(float(np.sum(one**2)), 1e-30))
+
+
 def _less(
     f: Fields, contrasts: Float[np.ndarray, "n h w"], level: Float[np.ndarray, "h w"]
 ) -> Float[np.ndarray, "n h w"]:
     """Contrasts without what whole frames share, and without a map, DN."""
-    one = f.usable / _noise(f)  # an offset of the frame is less where the noise is more
-    unit = one / np.sqrt(max(float(np.sum(one**2)), 1e-30))
+    unit = _whole(f)
 
     def apart(values: Float[np.ndarray, "*n h w"], shape: Float[np.ndarray, "h w"]):
         return values - np.einsum("...ij,ij->...", values, shape)[..., None, None] * shape
@@ -315,7 +320,8 @@ def _dark_current(fields: tuple[Fields, ...]) -> float:
 
 
 def without_warmth(fields: tuple[Fields, ...], score: Score[Heat | None]) -> tuple[Fields, ...]:
-    """Dark contrasts without the map and their own mean, all of one variance."""
+    """Dark contrasts without the map and, where several exposures say that dark charge moves, without their
+    own mean, which that moves as well; all of one variance."""
     heat = score.payload
     out = []
     for f in fields:
@@ -325,16 +331,24 @@ def without_warmth(fields: tuple[Fields, ...], score: Score[Heat | None]) -> tup
             c = _less(f, f.contrasts, level)
             if heat is not None:
                 c = _alike(c, f.usable)
+            if not _moves_offsets(score):
+                unit = _whole(f)
+                c = c + np.einsum("nij,ij->n", f.contrasts, unit)[:, None, None] * unit
             f = f._replace(contrasts=c.astype(np.float32))
         out.append(f)
     return tuple(out)
 
 
+def _moves_offsets(score: Score[Heat | None]) -> bool:
+    """Whether what whole frames share is known to move with the dark charge."""
+    return score.payload is None or score.payload.thermal
+
+
 def warming(
-    *, name: str, covers: tuple[str, ...], lifted_by: tuple[str, ...], beside: dict[str, dict[str, float]]
+    *, name: str, offsets: tuple[str, ...], lifted_by: tuple[str, ...], beside: dict[str, dict[str, float]]
 ) -> Signature:
-    """Dark current that is more in one frame than in another. beside: as `Addition` has it, for what adds the
-    dark current itself."""
+    """Dark current that is more in one frame than in another. offsets: signatures of what whole frames share.
+    beside: as `Addition` has it, for what adds the dark current itself."""
 
     def values(score: Score) -> dict[str, float]:
         return {"sigma_k": score.amplitude, "e_per_s": max(score.parameters["current"][0], 0.0)}
@@ -349,6 +363,7 @@ def warming(
         score=warm_score,
         absorb=without_warmth,
         simulate=simulate,
-        covers=covers,
+        covers=(),
+        hides=lambda score: offsets if _moves_offsets(score) else (),
         lifted_by=lifted_by,
     )

@@ -1,5 +1,7 @@
 """A sensor that warms up while its darks are taken: by how much, and that nothing else is seen of it."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -76,3 +78,21 @@ def test_few_pixels_that_jump_are_no_warmth(pixels):
     fields = splits_of(capture).looking.fields
     score = warm.warm_score(fields)
     assert score is None or not rejects(score)
+
+
+def test_offsets_of_frames_stay_where_one_exposure_shows_a_map_that_moves():
+    """What whole frames share may then be a pedestal's, and is left for it."""
+
+    def offsets(e, rng, kind, seconds):
+        return e + 6 * rng.standard_normal((len(e), 1, 1))
+
+    capture = captured(35, ramp(0.5), offsets)
+    longest = max(r.exposure_s for r in capture.recordings if r.kind == "dark")
+    kept = tuple(r for r in capture.recordings if r.kind != "dark" or r.exposure_s == longest)
+    for part, held in ((capture, False), (dataclasses.replace(capture, recordings=kept), True)):
+        first = splits_of(part).looking
+        signatures = {s.name: s for s in first.signatures}
+        looked = warm.warm_score(first.fields)
+        assert looked is not None and looked.payload.thermal != held
+        left = signatures["frame_additive"].score(warm.without_warmth(first.fields, looked))
+        assert rejects(left) == held and ("frame_additive" not in signatures["warm"].hides(looked)) == held
