@@ -79,3 +79,17 @@ def projected_out(values: Float[np.ndarray, "n h w"], q: Float[np.ndarray, "m p"
     """Images without what orthonormal rows `q` span."""
     share = values.reshape(len(values), q.shape[1]) @ q.T
     return values - (share @ q).reshape(values.shape)
+
+
+def without_beside(
+    values: Float[np.ndarray, "h w"], q: Float[np.ndarray, "m p"], others: Float[np.ndarray, "k p"]
+) -> Float[np.ndarray, "h w"]:
+    """An image without its share of orthonormal rows `q`, told beside what the rows of `others` span, of
+    which nothing is taken; all that `q` spans where the others hold most of that as well."""
+    held = orthonormal(others)
+    own = q - (q @ held.T) @ held
+    gram = own @ own.T
+    if np.trace(gram) < 0.5 * len(q):
+        return projected_out(values[None], q)[0]
+    share = np.linalg.lstsq(gram, own @ values.ravel(), rcond=1e-3)[0]
+    return values - (share @ q).reshape(values.shape)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from functools import partial
+from typing import Literal
 
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Float
 from scipy import fft, stats
 
 from cannoise_jax.physics.core.grammar import Point, amplitude_name
@@ -20,7 +21,7 @@ from cannoise_jax.signatures.least import (
     one,
     sinusoid,
 )
-from cannoise_jax.signatures.phasors import about_centre, rician_fit, without
+from cannoise_jax.signatures.phasors import about_centre, rician_fit
 from cannoise_jax.signatures.score import Score, sidak
 from cannoise_jax.signatures.signature import (
     BY_SHIFT,
@@ -33,12 +34,11 @@ from cannoise_jax.signatures.signature import (
     Axes,
     Signature,
 )
+from cannoise_jax.signatures.wave_fields import Wave, centred, taken, turn_of, wave_absorb
 from cannoise_jax.signatures.wave_shares import PAD, around, of_all, of_lines
 
 _LEAST_STAYING = 3
 """Periods in the frame from which on what stays may be called a wave."""
-_LEAST_REST = 0.01
-"""Share of a field's power that is taken to be no wave's, at least."""
 _MOST = 0.5
 """Share of what whole rows or columns share, or of all that is alike between pixels, that lies in one line,
 from which on the line is judged first: a law of many frequencies would take it for its own."""
@@ -49,14 +49,8 @@ _LEAST_FRAMES = 6
 """Frames of a recording from which on a circle through their phases is held to be theirs."""
 
 
-class Wave(NamedTuple):
-    """Cycles a pixel along the columns and the rows, its share of what whole rows or columns share, and that
-    of all that is alike between pixels."""
-
-    fy: float
-    fx: float
-    of_lines: float
-    of_all: float = 0.0
+_MOST_TAKEN = 8
+"""Frequencies that are passed over because a wave of theirs was taken out."""
 
 
 def plane_power(field: Fields, values: np.ndarray) -> np.ndarray:
@@ -115,18 +109,24 @@ def wave_score(
         power[rows, last - PAD :] = 0
     power[middle - PAD : middle + PAD + 1, : PAD + 1] = 0
     raw, level_about = power, around(power)
-    here = 1.0 if near is None else _about(near, power.shape, (h, w))
-    where = np.unravel_index(np.argmax(here * power / level_about), power.shape)
-    power, level = power / level_about, float(level_about[where])
-    # Between two points of the grid a wave shows less of its power.
-    fy, fx = refined(
-        [v * f.weight.astype(np.float32) for f, v, _ in chosen],
-        (float(fft.fftfreq(PAD * h)[where[0]]), float(where[1] / (PAD * w))),
-    )
+    power = power / level_about
+    here = np.ones(power.shape, bool) if near is None else _about(near, power.shape, (h, w))
+    for _ in range(_MOST_TAKEN):
+        where = np.unravel_index(np.argmax(here * power), power.shape)
+        # Between two points of the grid a wave shows less of its power.
+        fy, fx = refined(
+            [v * f.weight.astype(np.float32) for f, v, _ in chosen],
+            (float(fft.fftfreq(PAD * h)[where[0]]), float(where[1] / (PAD * w))),
+        )
+        turn = turn_of(fy, fx, (h, w))
+        if time == "redrawn" or not taken([f for f, _, _ in chosen], turn):
+            break
+        here &= ~_about((fy, fx), power.shape, (h, w))
+    else:
+        return None
+    level = float(level_about[where])
     trials = h * w / 2 * PAD**2  # every point of the padded grid: a bound, whatever the number of fields
-    y, x = np.arange(h)[:, None], np.arange(w)[None, :]
-    turn = np.exp(-2j * np.pi * (fy * y + fx * x)).astype(np.complex64)
-    told = [_centred(f, v, turn) for f, v, _ in chosen]
+    told = [centred(f, v, turn) for f, v, _ in chosen]
     own, whole, rest = (np.concatenate(parts) for parts in zip(*told, strict=True))
     weights = np.concatenate([np.full(len(v), i) for _, v, i in chosen]) / level
     fit = rician_fit(float(power[where]), np.abs(own) ** 2 / level, weights, whole, rest)
@@ -168,22 +168,6 @@ def _shares(power: Float[np.ndarray, "h w"], at: tuple[int, int], terms: float) 
     return of_lines(power, at), of_all(power, at, terms) if periods >= _LEAST_STAYING else 0.0
 
 
-def _centred(
-    field: Fields, values: np.ndarray, turn: np.ndarray
-) -> tuple[Complex[np.ndarray, "n"], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Of each field the phasor at one frequency, of mean power 1 under the null; the field's own power that
-    this was divided by, over that of the modelled noise; and what is left of that without the wave."""
-    w = field.weight.astype(np.float32)
-    total = float(np.sum(w.astype(np.float64) ** 2))
-    weighted = values * w
-    level = np.einsum("nij->n", weighted) / total
-    centred = weighted - level[:, None, None] * w**2
-    own = np.maximum(np.einsum("nij,nij->n", centred, centred, dtype=np.float64), 1e-30)
-    phasor = np.einsum("nij,ij->n", centred, turn) / np.sqrt(own)
-    of_wave = np.minimum(2 * np.abs(phasor) ** 2 / max(np.count_nonzero(w), 1), 1 - _LEAST_REST)
-    return phasor, own / total, own / total * (1 - of_wave)
-
-
 def _of_frames(
     chosen: Sequence[tuple[Fields, np.ndarray, float]], told: Sequence[tuple[np.ndarray, ...]], level: float
 ) -> float | None:
@@ -204,32 +188,6 @@ def _of_frames(
     # Of noise of power 1 a wave of amplitude A has the power A^2 I / 4.
     each = 4 * np.maximum(np.array(powers), 0.0) / np.array(weights)
     return float(np.sqrt(np.average(each, weights=np.array(weights))))
-
-
-def wave_absorb(fields: tuple[Fields, ...], score: Score[Wave]) -> tuple[Fields, ...]:
-    """Projects the wave out of every field, and its near neighbours on the frequency grid; not the mean of a
-    field, which is no wave's."""
-    fy, fx = score.payload.fy, score.payload.fx
-    waves = _neighbours(fy, fx, fields[0].mean.shape)
-    out = []
-    for f in fields:
-        weight = f.weight.ravel().astype(np.float64)
-        total = max(float(np.sum(weight**2)), 1e-30)
-        level = waves @ weight**2 / total
-        out.append(without(f, (waves - level[:, None]) * weight))
-    return tuple(out)
-
-
-def _neighbours(fy: float, fx: float, size: tuple[int, int]) -> Float[np.ndarray, "18 p"]:
-    """Both phases of a plane wave and of those half a frequency of the frame away, at every pixel."""
-    h, w = size
-    out = []
-    for dy in (-0.5 / h, 0.0, 0.5 / h):
-        for dx in (-0.5 / w, 0.0, 0.5 / w):
-            turn = np.exp(2j * np.pi * (fy + dy) * np.arange(h))[:, None]
-            wave = turn * np.exp(2j * np.pi * (fx + dx) * np.arange(w))
-            out += [wave.real.ravel(), wave.imag.ravel()]
-    return np.array(out)
 
 
 def wave_map(fields: Many, fy: float, fx: float) -> np.ndarray | None:
@@ -313,7 +271,7 @@ def interference(
         reads=CONTRASTS | STATIC if redrawn_too else STATIC,
         score=score,
         again=lambda fields, found: score(fields, near=(found.payload.fy, found.payload.fx)),
-        absorb=wave_absorb,
+        absorb=partial(wave_absorb, stays=not redrawn_too),
         covers=COVERS_NOTHING,
         predict=NO_LAW,
         pattern=NO_PATTERN if redrawn_too else pattern,

@@ -11,9 +11,11 @@ from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.discovery.search.fit import stepwise
 from cannoise_jax.discovery.search.model import extended_model
 from cannoise_jax.physics.core.sensor import Settings
+from cannoise_jax.signatures.fields import helmert
 from cannoise_jax.signatures.phasors import about_centre
+from cannoise_jax.signatures.wave_fields import wave_absorb
 from cannoise_jax.signatures.wave_shares import of_all
-from cannoise_jax.signatures.waves import wave_absorb, wave_score
+from cannoise_jax.signatures.waves import wave_score
 from tests.discovery.capture import capture_set
 from tests.discovery.looks import SIGNATURES, white
 
@@ -78,7 +80,7 @@ def test_taking_a_wave_out_leaves_the_offsets_of_frames():
     wave = 0.6 * np.cos(2 * np.pi * x / SIZE[1])
     field = field._replace(contrasts=(field.contrasts + 0.3 + wave).astype(np.float32))
     score = wave_score((field,), time="redrawn")
-    (left,) = wave_absorb((field,), score)
+    (left,) = wave_absorb((field,), score, stays=False)
     assert left.contrasts.mean((1, 2)) == pytest.approx(field.contrasts.mean((1, 2)), abs=1e-3)
     told = [SIGNATURES["frame_additive"].score((f, f)).amplitude for f in (field, left)]
     assert told[1] == pytest.approx(told[0], rel=0.02)
@@ -162,3 +164,25 @@ def test_lines_are_most_of_what_is_alike_and_broad_noise_is_no_line():
     broad = power * (1 + 20 * np.exp(-((fy - 0.15) ** 2 + (fx - 0.2) ** 2) / 0.002))
     at = np.unravel_index(int(np.argmax(broad)), broad.shape)
     assert of_all(broad, (int(at[0]), int(at[1])), 10) < 0.3
+
+
+def test_a_wave_of_new_phases_leaves_steps_between_regions_and_nothing_that_stays():
+    """A step has a share of every wave: taken out with that, it would come back as one once it is found."""
+    (field,) = white(_RNG(9), kinds=("dark",), frames=8, size=SIZE)
+    x = np.arange(SIZE[1])
+    frames = 1.2 * np.cos(2 * np.pi * 0.137 * x + 2 * np.pi * _RNG(10).random((8, 1, 1))) / 3.0
+    step = 4.0 * np.sign(x - SIZE[1] / 2 + 0.5) / 3.0
+    seen = np.tensordot(helmert(8), frames, 1) + field.contrasts
+    whole = field.static + np.sqrt(8) * (frames.mean(0) + step)
+    field = field._replace(contrasts=seen.astype(np.float32), static=whole.astype(np.float32))
+    frozen, taps = SIGNATURES["wave_frozen"], SIGNATURES["taps"]
+    assert frozen.score((field,)).log_p < -7
+    moved = wave_score((field,), time="redrawn")
+    assert moved.parameters["amplitude"][0] == pytest.approx(1.2, rel=0.1)
+    left = wave_absorb((field,), moved, stays=False)
+    steps = taps.score(left)
+    assert steps.amplitude == pytest.approx(8.0, rel=0.02)
+    again = frozen.again(taps.absorb(left, steps), moved)
+    assert again is None or again.log_p > -3
+    # What stays is in no contrast: one that stays takes no evidence from one that does not.
+    assert wave_score(wave_absorb((field,), moved, stays=True), time="redrawn").log_p == moved.log_p
