@@ -22,23 +22,37 @@ from cannoise_jax.signatures.jump_law import (
 from cannoise_jax.signatures.jumps import frames_of
 from cannoise_jax.signatures.known_shape import darks
 from cannoise_jax.signatures.squares import dark_sigma, square_map
+from cannoise_jax.signatures.two_levels import log_ratio_of_two
 
 _MOST = 60_000
 """Values of noisy pixels that are looked at."""
 
 
+_MOST_NATS = 20.0
+"""What one pixel may count on other frames: a hit there is no jump."""
 _LONGER = 0.05
 """Relative error of the rms of jumps beside chance: traps that change seldom have up to a tenth more of it
 than the frames of a recording show."""
 
 
+class Expected(NamedTuple):
+    """Of pixels that were looked at, where, the chance that they jump, and the distance of the levels and the
+    variance by it if they do, in units of the noise."""
+
+    at: Int[np.ndarray, "k"]
+    chance: Float[np.ndarray, "k"]
+    jump: Float[np.ndarray, "k"]
+    variance: Float[np.ndarray, "k"]
+
+
 class Blinking(NamedTuple):
     """Share of the pixels that jump, mean distance of their levels, DN, and rms of the jumps over all pixels,
-    DN, each with its error."""
+    DN, each with its error; and what is expected of the pixels that were looked at."""
 
     share: tuple[float, float]
     jump: tuple[float, float]
     rms: tuple[float, float]
+    pixels: Expected
 
 
 class _Looked(NamedTuple):
@@ -56,6 +70,7 @@ class _Looked(NamedTuple):
 
 def blinking(fields: Many) -> Blinking | None:
     """What the darks tell; None where they do not tell noise."""
+    fields = _among_themselves(fields)
     looked = _looked(fields)
     if looked is None:
         return None
@@ -69,7 +84,37 @@ def blinking(fields: Many) -> Blinking | None:
     root = float(np.sqrt(inside[0]))
     error = float(np.hypot(inside[1] / (2 * max(root, 1e-12)), _LONGER * root))
     rms = sigma * root, sigma * error
-    return Blinking(share, (mean[0] * sigma, mean[1] * sigma), rms)
+    expected = Expected(looked.at[::step], told.chance, told.jump, told.variance)
+    return Blinking(share, (mean[0] * sigma, mean[1] * sigma), rms, expected)
+
+
+def blinking_again(fields: Many, expected: Expected) -> tuple[float, float, float] | None:
+    """On other frames, by how much the variance of the pixels that are expected to jump is that of jumps, as
+    a share of what is expected, its error, and the nats by which their frames are as expected rather than
+    noise alone; None where there are no such frames."""
+    own = _among_themselves(fields)
+    looked = _looked(own)
+    if looked is None or not expected.at.size:
+        return None
+    frames = [_unbiased(x) / looked.louder for x in frames_of(darks(own), expected.at, own_charge(own))]
+    usable = np.all([f.usable for f in darks(own)], axis=0).ravel()[expected.at]
+    squares = sum((np.sum(x**2, 0) for x in frames), start=np.zeros(expected.at.size))
+    power = expected.chance * expected.variance * usable
+    whole = float(np.sum(power**2))
+    if not whole > 0:
+        return None
+    share = float(power @ (squares / looked.freedom - 1)) / whole
+    noise = 2 * (1 + expected.variance) ** 2 / looked.freedom
+    error = float(np.sqrt(power**2 @ (noise + expected.variance**2 * (1 - expected.chance)))) / whole
+    ratio = np.clip(log_ratio_of_two(frames, expected.jump), -_MOST_NATS, _MOST_NATS)
+    return share, error, float(np.sum(np.log1p(usable * expected.chance * np.expm1(ratio))))
+
+
+def _among_themselves(fields: Many) -> Many:
+    """Without what the frames differ by from those before."""
+    return tuple(
+        f._replace(contrasts=f.contrasts[: f.frames - 1], before=0) if f.before else f for f in fields
+    )
 
 
 def blinking_map(fields: Many) -> Float[np.ndarray, "h w"]:

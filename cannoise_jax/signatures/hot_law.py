@@ -34,7 +34,7 @@ class Told(NamedTuple):
 
     nats: float
     core: Core
-    counts: Int[np.ndarray, "bins"]
+    counts: Int[np.ndarray, "b"]
     share: float
     height: float
     gain: float

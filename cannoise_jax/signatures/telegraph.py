@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy import stats
 
 from cannoise_jax.signatures.added import as_map, placed
-from cannoise_jax.signatures.blinking import blinking, blinking_map
+from cannoise_jax.signatures.blinking import Expected, blinking, blinking_again, blinking_map
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.handed import Addition, Asked, Found, Many
 from cannoise_jax.signatures.heat import above_neighbours
@@ -54,7 +55,31 @@ def _gained(counts: np.ndarray, centre: np.ndarray, n: int) -> float:
     return best
 
 
-def telegraph_score(fields: tuple[Fields, ...]) -> Score[bool] | None:
+class Restless(NamedTuple):
+    """Whether most of the pixels that stand out in the mean jump, and what is expected of those that do."""
+
+    mostly: bool
+    pixels: Expected
+
+
+def telegraph_again(fields: Many, found: Score[Restless]) -> Score[Restless] | None:
+    """Other frames: how much of the variance that those which found the pixels expect of each shows again,
+    and the nats by which their frames lie on levels as far apart."""
+    score = telegraph_score(tuple(fields))
+    told = blinking_again(fields, found.payload.pixels)
+    if score is None or told is None:
+        return score
+    share, error, gain = told
+    root = float(np.sqrt(max(share, 0.0)))
+    amplitude = found.amplitude * root
+    doubt = found.amplitude * error / (2 * max(root, float(np.sqrt(error)), 1e-12))
+    return found.replace(
+        log_p=score.log_p, gain=gain, penalty=score.penalty, shift=score.shift, amplitude=amplitude,
+        error=float(np.hypot(doubt, found.error * root)),
+    )  # fmt: skip
+
+
+def telegraph_score(fields: tuple[Fields, ...]) -> Score[Restless] | None:
     """A small share of pixels with extra fluctuation. What speaks for it is that of sizes spread
     exponentially; share, jump and strength are those of the pixels whose frames lie on levels."""
     found = square_map(fields)
@@ -78,7 +103,7 @@ def telegraph_score(fields: tuple[Fields, ...]) -> Score[bool] | None:
     shift = sigma * np.sqrt(np.sqrt(2 / n / squares.size))
     return Score(
         log_p=max(log_p, LEAST_LOG_P),
-        payload=_restless(fields, whole, usable, n),
+        payload=Restless(_restless(fields, whole, usable, n), told.pixels),
         gain=_gained(counts, centre, n),
         penalty=float(np.log(squares.size)),
         amplitude=amplitude,
@@ -120,11 +145,11 @@ def _restless(
     return bool(np.median(squares[off]) > _RESTLESS * stats.chi2.median(freedom))
 
 
-def mask_jumping(fields: Many, score: Score[bool]) -> Many:
+def mask_jumping(fields: Many, score: Score[Restless]) -> Many:
     """Takes the pixels that jump out, and where most of those that stand out in the mean do, all of these:
     some have not jumped in as few frames."""
     left = mask_noisy(fields, score)
-    return mask_off(left) if score.payload else left
+    return mask_off(left) if score.payload.mostly else left
 
 
 _OWN = 0.3
@@ -147,11 +172,11 @@ def jumping(
     whatever the exposure and with it; the evidence of the first is of the jumps too, where they are enough to
     make it, and that of `imprints`, what such pixels leave in means, where most of them jump."""
 
-    def readings(score: Score[bool], scores: Mapping[str, Score]) -> tuple[tuple[str | None, float], ...]:
+    def readings(score: Score[Restless], scores: Mapping[str, Score]) -> tuple[tuple[str | None, float], ...]:
         off = scores[fixed].evidence if fixed in scores else 0.0
         warm = scores[growing].evidence if growing in scores else 0.0
         more = [max(off, 0.0)] if off > warm and score.evidence > _OWN * off else []
-        if score.payload:
+        if score.payload.mostly:
             more = [max(off, warm), *(max(scores[n].evidence, 0.0) for n in imprints if n in scores)]
         return ((mechanism, score.evidence + sum(more)),)
 
@@ -179,6 +204,7 @@ def jumping(
         pattern=lambda fields, score, rng: blinking_map(fields),
         simulate=simulated,
         place=placed(BLINKING),
+        again=telegraph_again,
         detectable=detectable,
         readings=readings,
         decides=True,

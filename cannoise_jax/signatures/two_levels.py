@@ -21,7 +21,9 @@ EVEN = (2.0, 40.0)
 likely: of traps that differ in it, and of those that are full half of the time."""
 
 
-def log_ratio_of_two(frames: list[Float[np.ndarray, "t k"]], jump: float) -> Float[np.ndarray, "k"]:
+def log_ratio_of_two(
+    frames: list[Float[np.ndarray, "t k"]], jump: float | Float[np.ndarray, "k"]
+) -> Float[np.ndarray, "k"]:
     """Log-likelihood ratio of two levels this far apart, of every pixel. frames: of each recording, and
     jump, in units of the noise."""
     return sum((_two(x - x.mean(0), jump) for x in frames), start=np.zeros(frames[0].shape[1]))
@@ -45,7 +47,7 @@ def _log_ways(frames: int) -> Float[np.ndarray, "t+1"]:
     return special.gammaln(frames + 1) - special.gammaln(k + 1) - special.gammaln(frames - k + 1)
 
 
-def _two(x: Float[np.ndarray, "t k"], jump: float) -> Float[np.ndarray, "k"]:
+def _two(x: Float[np.ndarray, "t k"], jump: float | Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
     number = len(x)
     k = np.arange(number + 1)[:, None]
     polynomial = _log_product(jump * x[:, None], 1)

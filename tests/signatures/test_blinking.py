@@ -124,3 +124,15 @@ def test_the_signature_says_what_the_frames_do():
     assert abs(value - np.mean(jump > 0)) < 2 * error
     sites = look.pattern(fields, score, _RNG(0))
     assert np.array_equal(sites, blinking_map(fields))
+
+
+def test_other_frames_show_the_jumps_again_and_none_where_there_are_none():
+    look = SIGNATURES["telegraph"]
+    found = look.score(darks(2, 0.006, gamma(15.0, 4))[0])
+    again = look.score_again(
+        darks(2, 0.006, gamma(15.0, 4), lambda rng, frames: frames[::-1] + 0.0)[0], found
+    )
+    assert again.gain > 100 and again.amplitude == pytest.approx(found.amplitude, rel=0.15)
+    for law in (lambda rng, frames: frames, hit):
+        none = look.score_again(darks(9, 0.0, gamma(15.0, 4), law)[0], found)
+        assert none.gain < 0 and none.amplitude < 0.3 * found.amplitude
