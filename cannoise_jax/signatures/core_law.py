@@ -31,6 +31,15 @@ ones."""
 _OPEN = (1.0, 2.0, 3.0, 4.0)
 """Standard errors by which the skewness may be more than the lower half has it: where hits were taken out, or
 noise moves whole rows, gamma-distributed currents of variation 0.25 had 1 to 4 less."""
+_INNER = tuple(0.5 * 1.2 ** np.arange(13))
+"""Skewnesses of currents beside normal values that are tried; their variation is about a third of it, or a
+half where they are gamma-distributed."""
+_NORMAL = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
+"""Shares of the variance that the normal values may have."""
+_BULK, _TAKEN = 0.98, 4
+"""Share of the levels, the lowest, that tell such laws, and how many of these are looked at further."""
+_SMALL = 1e-13
+"""Density below which a sum that is worked out by transforms is rounding."""
 _STEP, _LAST = 0.02, 60.0
 _GRID = np.arange(-8.0, _LAST, _STEP)
 """Where densities are worked out, standard deviations; beyond, a sum falls as the exponential part does."""
@@ -40,12 +49,14 @@ _LEAST, _BELOW_ALL = -700.0, -12.0
 
 class Core(NamedTuple):
     """The law of the levels of pixels that are not hot, in standard deviations of their noise: centre and
-    spread, and of what is left the law and its skewness."""
+    spread, and of what is left the law and its skewness, beside normal values that have a share of the
+    variance."""
 
     spread: float = 1.0
     centre: float = 0.0
     law: str = NORMAL
     skew: float = 0.0
+    normal: float = 0.0
 
     def standard(self, u: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
         """The levels with this law's mean at 0 and its standard deviation 1."""
@@ -54,11 +65,11 @@ class Core(NamedTuple):
     def log_density(self, u: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
         """Of standard levels."""
         least = np.where((u < 0) & (self.law != NORMAL), _BELOW_ALL, _LEAST)
-        return np.maximum(_of(self.law, self.skew).logpdf(u), least)
+        return np.maximum(_of(self.law, self.skew, self.normal).logpdf(u), least)
 
     def far(self, chance: float) -> float:
         """The standard level that so few pixels lie beyond."""
-        return float(_of(self.law, self.skew).isf(chance))
+        return float(_of(self.law, self.skew, self.normal).isf(chance))
 
     def log_ratio(
         self, u: Float[np.ndarray, "*n"], mean: Float[np.ndarray, "*n"] | float
@@ -67,27 +78,31 @@ class Core(NamedTuple):
         levels that are not normal, of the median of the means."""
         if self.law == NORMAL:
             return log_ratio_of(u, mean)
-        typical = float(np.median(mean))
-        sums, _ = _added(self.law, self.skew, typical)
-        far = np.maximum(u - _GRID[-1], 0.0)
-        return np.maximum(np.interp(u, _GRID, sums) - far / typical - self.log_density(u), -50)
+        return np.maximum(self.log_sum(u, float(np.median(mean))) - self.log_density(u), -50)
+
+    def log_sum(self, u: Float[np.ndarray, "*n"], mean: float) -> Float[np.ndarray, "*n"]:
+        """Log density of a standard level plus an exponential one of this mean."""
+        if self.law == NORMAL:
+            return log_ratio_of(u, mean) + stats.norm.logpdf(u)
+        sums, _ = _added(self.law, self.skew, self.normal, mean)
+        return np.interp(u, _GRID, sums) - np.maximum(u - _GRID[-1], 0.0) / mean
 
     def table(self) -> np.ndarray | None:
         """What `log_mixture` needs of levels that are not normal."""
-        return None if self.law == NORMAL else _table(self.law, self.skew)
+        return None if self.law == NORMAL else _table(self.law, self.skew, self.normal)
 
     def height(self, u: Float[np.ndarray, "*n"], mean: float) -> Float[np.ndarray, "*n"]:
         """Mean of the exponential part of a standard level."""
         if self.law == NORMAL:
             inner = u - 1 / mean
             return inner + np.exp(stats.norm.logpdf(inner) - stats.norm.logcdf(inner))
-        _, heights = _added(self.law, self.skew, mean)
+        _, heights = _added(self.law, self.skew, self.normal, mean)
         return np.interp(u, _GRID, heights) + np.maximum(u - _GRID[-1], 0.0)
 
 
 @lru_cache(maxsize=16)
-def _table(law: str, skew: float) -> np.ndarray:
-    core = Core(law=law, skew=skew)
+def _table(law: str, skew: float, normal: float) -> np.ndarray:
+    core = Core(law=law, skew=skew, normal=normal)
     return table_of([core.log_ratio(CENTRES, float(mean)) for mean in HEATS])
 
 
@@ -97,6 +112,12 @@ def skewed(u: Float[np.ndarray, "n"]) -> tuple[Core, ...]:
     return tuple(_through(u, law, skew) for law, skew in told if skew > _SURE * _ERROR / np.sqrt(u.size))
 
 
+def level(u: Float[np.ndarray, "n"]) -> Core:
+    """The normal law whose lower half is that of the levels."""
+    _, middle, median = np.quantile(u, _BELOW)
+    return Core(float(median - middle) / float(-stats.norm.ppf(_BELOW[1])), float(median))
+
+
 def left_open(u: Float[np.ndarray, "n"]) -> tuple[Core, ...]:
     """Laws of more skewness, as far as the lower half of the levels leaves it open."""
     error, out = _ERROR / np.sqrt(u.size), []
@@ -104,6 +125,35 @@ def left_open(u: Float[np.ndarray, "n"]) -> tuple[Core, ...]:
         least = _lower_half(u, law)
         skews = [min(round(least + k * error, 2), float(_SKEWS[-1])) for k in _OPEN]
         out += [_through(u, law, skew) for skew in skews if least > 0]
+    return tuple(out)
+
+
+def widened(u: Float[np.ndarray, "n"]) -> tuple[Core, ...]:
+    """The laws with normal values beside them that have the bulk of the levels best, `_TAKEN` of each kind.
+
+    Offsets of pixels, and noise, make the lower half of the levels more normal than currents are, whose tail
+    is then longer than the lower half says."""
+    ordered = np.sort(u)
+    cut = ordered[int(_BULK * u.size)]
+    counts, edges = np.histogram(ordered[ordered < cut], 400)
+    centres, above = (edges[1:] + edges[:-1]) / 2, u.size - int(counts.sum())
+    _, middle, median = np.quantile(ordered, _BELOW)
+
+    def nats(core: Core) -> float:
+        law = _of(core.law, core.skew, core.normal)
+        inside = float(counts @ core.log_density(core.standard(centres))) - counts.sum() * np.log(core.spread)
+        over = np.log(max(-float(np.expm1(law.logcdf(core.standard(cut)))), 1e-12))
+        return inside + above * float(over)
+
+    out: list[Core] = []
+    for law in (GAMMA, LOGNORMAL):
+        tried = []
+        for skew in _INNER:
+            for normal in _NORMAL:
+                _, inner, centre = _of(law, skew, normal).ppf(_BELOW)
+                spread = float(median - middle) / float(centre - inner)
+                tried.append(Core(spread, float(median - spread * centre), law, skew, normal))
+        out += sorted(tried, key=nats)[-_TAKEN:]
     return tuple(out)
 
 
@@ -124,16 +174,51 @@ def _through(u: Float[np.ndarray, "n"], law: str, skew: float) -> Core:
     return Core(spread, float(median) - spread * centre, law, skew)
 
 
-@lru_cache(maxsize=512)
-def _of(law: str, skew: float):
-    """The law of mean 0, standard deviation 1 and this skewness."""
+@lru_cache(maxsize=1024)
+def _of(law: str, skew: float, normal: float = 0.0):
+    """The law of mean 0, standard deviation 1 and this skewness, but for normal values beside it."""
     if law == NORMAL:
         return stats.norm()
+    if normal:
+        return _Sum(_of(law, skew), normal)
     if law == GAMMA:
         return stats.pearson3(skew)
     grown = _spread_of_logs(skew)
     scale = float(1 / np.sqrt(np.exp(grown**2) * np.expm1(grown**2)))
     return stats.lognorm(grown, loc=-scale * np.exp(grown**2 / 2), scale=scale)
+
+
+class _Sum:
+    """The law of the sum of a value of mean 0 and standard deviation 1 and a normal one, which has a share of
+    the variance, on a grid; beyond it that of the first of them."""
+
+    def __init__(self, law, normal: float):
+        self.law, self.root = law, np.sqrt(1 - normal)
+        edges = np.append(_GRID - _STEP / 2, _GRID[-1] + _STEP / 2)
+        mass = np.diff(law.cdf(edges / self.root))
+        width = int(np.ceil(8 * np.sqrt(normal) / _STEP))
+        kernel = np.exp(-0.5 * (np.arange(-width, width + 1) * _STEP) ** 2 / normal)
+        density = signal.fftconvolve(mass, kernel / kernel.sum(), "same") / _STEP
+        # What is left of sums by transforms is chance; far out the law is all that there is.
+        far = np.exp(law.logpdf(_GRID / self.root)) / self.root
+        density = np.where((density < _SMALL) & (_GRID > 0), far, np.maximum(density, 0.0))
+        self.log = np.log(np.maximum(density, np.exp(_LEAST)))
+        self.below = np.cumsum(density) * _STEP
+        self.below /= self.below[-1] / (1 - law.sf(edges[-1] / self.root))
+
+    def logpdf(self, u):
+        far = self.law.logpdf(np.maximum(u, _GRID[-1]) / self.root) - np.log(self.root)
+        return np.where(u > _GRID[-1], far, np.interp(u, _GRID, self.log, left=_LEAST))
+
+    def ppf(self, chance):
+        return np.interp(chance, self.below, _GRID + _STEP / 2)
+
+    def isf(self, chance):
+        told = self.ppf(1 - np.asarray(chance))
+        return np.where(self.below[-1] > 1 - np.asarray(chance), told, self.root * self.law.isf(chance))
+
+    def logcdf(self, u):
+        return np.log(np.maximum(np.interp(u, _GRID + _STEP / 2, self.below), 1e-300))
 
 
 def _spread_of_logs(skew: float) -> float:
@@ -150,9 +235,9 @@ def _quantiles(law: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 @lru_cache(maxsize=512)
-def _added(law: str, skew: float, mean: float) -> tuple[np.ndarray, np.ndarray]:
+def _added(law: str, skew: float, normal: float, mean: float) -> tuple[np.ndarray, np.ndarray]:
     """On `_GRID`, log density of the law plus an exponential value, and the mean of that value in the sum."""
-    density = np.exp(_of(law, skew).logpdf(_GRID))
+    density = np.exp(_of(law, skew, normal).logpdf(_GRID))
     kept = np.exp(-_STEP / mean)
     once = signal.lfilter([1 - kept], [1, -kept], density)
     twice = signal.lfilter([1 - kept], [1, -kept], once)

@@ -6,34 +6,29 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy import special, stats
+from scipy import stats
 
 from cannoise_jax.physics.core.mechanism import Scaling
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.added import as_map, placed
 from cannoise_jax.signatures.codes import cut_off
-from cannoise_jax.signatures.core_law import NORMAL, Core, left_open, skewed
+from cannoise_jax.signatures.core_law import NORMAL, Core
 from cannoise_jax.signatures.fields import Fields, without_pixels
 from cannoise_jax.signatures.handed import Addition, Asked, Found, Many, Predicted
 from cannoise_jax.signatures.heat import (
-    MOST_SHARE,
     Heat,
     above_neighbours,
     follows_exposure,
     known_heat,
 )
+from cannoise_jax.signatures.hot_law import likely_laws, share_error
 from cannoise_jax.signatures.least import (
     Law,
     Seen,
 )
 from cannoise_jax.signatures.patterns import pixel_sums
 from cannoise_jax.signatures.rare import (
-    CENTRES,
-    FAR,
-    HEATS,
     hot_log_p,
-    level_counts,
-    log_mixture,
     spread_of,
 )
 from cannoise_jax.signatures.recorded import Recorded
@@ -73,55 +68,6 @@ def heat_again(
     return looked.replace(amplitude=amplitude * again, error=error)
 
 
-def _fitted(counts: np.ndarray, core: Core) -> tuple[float, float, float]:
-    """Share and mean height of most likelihood, and the nats that they gain."""
-    used = counts > 0
-    n, u = counts[used], CENTRES[used]
-
-    def step(share: float, ratio: np.ndarray) -> tuple[float, np.ndarray]:
-        hot = n * special.expit(special.logit(share) + ratio)
-        return float(np.clip(np.sum(hot) / n.sum(), 1e-7, MOST_SHARE)), hot
-
-    def gained(share: float, ratio: np.ndarray) -> float:
-        return float(np.sum(n * np.logaddexp(np.log1p(-share), np.log(share) + ratio)))
-
-    best, at, share = 0.0, 1.0, 0.0
-    for mean in HEATS:
-        ratio, f = core.log_ratio(u, mean), 1e-3
-        for _ in range(40):
-            f = step(f, ratio)[0]
-        gain = gained(f, ratio)
-        if gain > best:
-            best, at, share = gain, float(mean), f
-    if not share:
-        return 0.0, at, 0.0
-    for _ in range(40):
-        share, hot = step(share, core.log_ratio(u, at))
-        at = max(float(np.sum(hot * core.height(u, at)) / np.sum(hot)), HEATS[0])
-    return share, at, gained(share, np.minimum(core.log_ratio(u, at), FAR))
-
-
-def _core(u: np.ndarray, spread: float, mapped: bool) -> tuple[Core, np.ndarray, tuple[float, float, float]]:
-    """The law of the levels of most pixels, counts of standard levels, and what is `_fitted` beside it.
-    mapped: whether these have levels of their own, or had."""
-
-    def beside(core: Core) -> tuple[float, Core, np.ndarray, tuple[float, float, float]]:
-        counts = level_counts(core.standard(u))
-        fitted = _fitted(counts, core)
-        nats = float(np.sum(counts * core.log_density(CENTRES))) - u.size * float(np.log(core.spread))
-        return nats + fitted[2], core, counts, fitted
-
-    # Beside more hot ones the lower half of all levels is that of no law.
-    told = [f for f in map(beside, skewed(u) if mapped else ()) if f[3][0] < _FEW]
-    best = max([beside(Core(spread)), *told], key=lambda f: f[0])
-    if mapped and best[3][0]:
-        # A tail that a law of more skewness has far better, and nothing out of it, is that law's.
-        others = [f for f in map(beside, left_open(u)) if f[3][2] < _CLEARLY]
-        other = max(others, key=lambda f: f[0], default=best)
-        best = other if other[0] > best[0] + _CLEARLY else best
-    return best[1:]
-
-
 def _lattice_spread(fields: tuple[Fields, ...]) -> float:
     """The standard deviation that the level of a pixel is taken to have at least, over that of its noise:
     below some half a code a few changes by a code reach further than a normal law has it."""
@@ -129,12 +75,6 @@ def _lattice_spread(fields: tuple[Fields, ...]) -> float:
     return max((_LEAST_NOISE * f.step * float(np.median(f.weight[f.usable])) for f in darks), default=0.0)
 
 
-_FEW = 0.05
-"""Share of hot pixels up to which the lower half of all levels tells the law of the others."""
-_CLEARLY = 10.0
-"""Nats by which a law of more skewness than that of the lower half of the levels must be better, and up to
-which hot pixels beside it are none: gamma-distributed currents of variation 0.13 to 0.25 gained 15 to 200 on
-normal ones with hot pixels."""
 _TOLD = 4.0
 """Chi-square of a typical pixel that stands out by which one law of its heat is told from the other: both are
 as sure that it is hot, where it is so many standard deviations that these are no longer counted."""
@@ -164,14 +104,15 @@ def hot_score(fields: tuple[Fields, ...], *, scaling: str, cut: bool = False) ->
         bulk = max(bulk, float(high - median) / float(stats.norm.ppf(_UPPER[1])))
     least = _lattice_spread(fields)
     own = cut or bulk > max(_STRONG, least) or any(f.answers.apart for f in fields)
-    core, counts, (share, at, gain) = _core(u[seen.ravel()], max(bulk, least), own)
+    told = likely_laws(u[seen.ravel()], max(bulk, least), own)
+    _, core, _, share, at, gain = told[0]
     out = (core.standard(u) > core.far(_HEALTHY)).reshape(seen.shape) & seen
     number = int(np.sum(out))
     better = follows_exposure(fields, out) or 0.0
     other_law = better > _TOLD if scaling == "additive" else better < -_TOLD
     other_law |= cut and at < _BEYOND_CUT
     root = float(np.sqrt(np.median(sums.information[seen]))) / core.spread
-    mixture = float(log_mixture(counts, core.table()))
+    mixture = min(f.mixture for f in told)
     seconds = (
         float(np.max([f.exposure_s or 1.0 for f in fields if f.kind in DARK]))
         if scaling == "exposure"
@@ -189,7 +130,7 @@ def hot_score(fields: tuple[Fields, ...], *, scaling: str, cut: bool = False) ->
         error=float(amplitude / np.sqrt(events)),
         shift=float(seconds / root / np.sqrt(np.sqrt(u.size / 2))),
         power=2,
-        parameters={"fraction": (share, "1", float(np.sqrt(share / u.size)))},
+        parameters={"fraction": (share, "1", share_error(told, u.size))},
         where={"axis": "pixel", "index": [[k // width, k % width] for k in high], "pixels": number},
         payload=Heat(share, at / root, scaling, core if bulk > _STRONG or core.law != NORMAL else Core()),
     )

@@ -43,6 +43,11 @@ _MOST_NATS = 8.0
 _ROUGH = 0.2
 """Share of strength, number and size that is not known beyond counting: of planted ones 0.7 to 1.15 of the
 strength came back, less where jumps are small or of three levels."""
+_AGAIN, _ORDINARY = 4, 5000
+"""Contrasts of other frames from which on they tell whether pixels jump, and ordinary pixels beside them."""
+_SURELY = 0.5
+"""Of the pixels that are found, that are taken to show in other frames that they jump: of planted ones 0.85
+and more jump, but not all do so in a few frames."""
 _SHARE = 0.05
 """Of the pixels that are looked at, that are taken to jump."""
 
@@ -155,6 +160,42 @@ def beside_score(fields: Many) -> Score[np.ndarray] | None:
     )
 
 
+def beside_again(fields: Many, found: Score[np.ndarray]) -> Score[np.ndarray] | None:
+    """Other frames, which had no part in choosing the pixels: whether those of the pixels that jump lie on
+    levels more than those of ordinary ones, whose law all have that do not, and how noisy they are again."""
+    seen, squares = [f for f in darks(fields) if f.frames > 2], square_map(fields)
+    if squares is None or sum(len(f.contrasts) for f in seen) < _AGAIN:
+        return None
+    whole, usable, freedom = squares
+    sites = np.flatnonzero((found.payload > 0) & usable)
+    order = np.flatnonzero(usable & (found.payload == 0))
+    order = order[np.argsort(whole.ravel()[order], kind="stable")]
+    if not sites.size or order.size < _FEWEST:
+        return None
+    middle = order[len(order) // 4 : -len(order) // 4]
+    ordinary = middle[np.linspace(0, len(middle) - 1, min(len(middle), _ORDINARY)).astype(int)]
+    charge = own_charge(fields)
+    own, plain_ones = (
+        np.minimum(levels_over_normal(frames_of(seen, at, charge)).ratio, _MOST_NATS)
+        for at in (sites, ordinary)
+    )
+    mean = float(special.logsumexp(plain_ones)) - np.log(plain_ones.size)
+    each = np.log1p(_SURELY * np.expm1(own - mean))
+    z = float(np.mean(own) - np.mean(plain_ones)) / (float(np.std(plain_ones)) / np.sqrt(sites.size))
+    gain = float(np.sum(each))
+    # What they have beyond ordinary pixels, against what they were found to.
+    expected = (found.payload.ravel()[sites] / dark_sigma(tuple(darks(fields)))) ** 2 / 4
+    excess = whole.ravel()[sites] / freedom - 1
+    share = float(expected @ excess) / max(float(np.sum(expected**2)), 1e-12)
+    root = float(np.sqrt(np.clip(share, 0.0, 4.0)))
+    amplitude = found.amplitude * root
+    return found.replace(
+        log_p=normal_log_p(z, 1), gain=gain, penalty=SHARE_OF_FEW, amplitude=amplitude,
+        error=max(found.error * root, found.amplitude * _ROUGH / np.sqrt(sites.size)),
+        shift=amplitude / max(z, 1.0),
+    )  # fmt: skip
+
+
 def _without(fields: Many, score: Score[np.ndarray]) -> Many:
     return without_pixels(tuple(fields), score.payload > 0)
 
@@ -173,6 +214,7 @@ def beside_a_map(
         axes=Axes("readout", "pixel", BLINKING.time, "additive", "two levels"),
         reads=READS,
         score=beside_score,
+        again=beside_again,
         absorb=_without,
         pattern=pattern,
         simulate=simulate,

@@ -133,17 +133,12 @@ FAR_JUMPS = tuple(j for j in MEAN_JUMPS if j > 2)
 """Mean jumps that count as a few far pixels: smaller ones change the bulk, which rounding changes too."""
 
 
-EXPONENTIAL, PEAKED = 1.0, 6.0
-"""Shapes of the gamma law of the jumps of pixels: with most of them small, and with nearly all between half
-and one and a half of the mean."""
-
-
-def jump_log_ratio(squares: np.ndarray, n: int, mean: float, shape: float = EXPONENTIAL) -> np.ndarray:
-    """Log density of a pixel's sum of squares, n degrees of freedom, with jumps of a gamma law of this mean
-    and shape over that without."""
+def jump_log_ratio(squares: np.ndarray, n: int, mean: float) -> np.ndarray:
+    """Log density of a pixel's sum of squares, n degrees of freedom, with jumps spread exponentially about
+    this mean over that without."""
     extra = 1 + _JUMPS**2 / 4
     single = -n / 2 * np.log(extra) + 0.5 * squares[:, None] * (1 - 1 / extra)
-    weight = np.exp((shape - 1) * np.log(_JUMPS / mean) - shape * _JUMPS / mean) * np.gradient(_JUMPS)
+    weight = np.exp(-_JUMPS / mean) * np.gradient(_JUMPS)
     top = single.max(1, keepdims=True)
     mixed = top[:, 0] + np.log(np.exp(single - top) @ (weight / weight.sum()))
     return mixed.clip(-50, 600)

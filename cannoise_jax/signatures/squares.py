@@ -56,22 +56,6 @@ def mask_noisy(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
 READS = STATIC | CONTRASTS | {"mean", "signal", "shot"}
 
 
-def dark_squares(fields: Many) -> tuple[np.ndarray, int]:
-    """Temporal sum of squares of every pixel of the darks in units of the noise, and its degrees of
-    freedom."""
-    chosen = [f for f in fields if not f.lit and len(f.contrasts)]
-    return sum_of_squares(tuple(chosen), own_charge(fields)), sum(len(f.contrasts) for f in chosen)
-
-
-def noisy_map(fields: Many, share: float) -> np.ndarray:
-    """Temporal standard deviation beyond that of the others, DN, at the noisiest `share` of the pixels
-    `[H, W]`; 0 elsewhere."""
-    squares, freedom = dark_squares(fields)
-    limit = np.quantile(squares, 1 - np.clip(share, 0, 1))
-    excess = np.maximum(squares / max(freedom, 1) - 1, 0)
-    return dark_sigma(fields) * np.sqrt(np.where(squares >= limit, excess, 0.0))
-
-
 def dark_sigma(fields: Many) -> float:
     """Standard deviation of the noise, DN, in whose square the sums of squares of all darks together count
     what a pixel has beside it."""

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from scipy import stats
 
 from cannoise_jax.signatures.added import as_map, placed
+from cannoise_jax.signatures.blinking import Expected, blinking, blinking_again, blinking_map
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.handed import Addition, Asked, Found, Many
 from cannoise_jax.signatures.heat import above_neighbours
@@ -17,10 +18,8 @@ from cannoise_jax.signatures.hot import mask_off
 from cannoise_jax.signatures.known_shape import darks
 from cannoise_jax.signatures.least import Law, Seen
 from cannoise_jax.signatures.rare import (
-    EXPONENTIAL,
     FAR_JUMPS,
     MEAN_JUMPS,
-    PEAKED,
     jump_log_ratio,
     sparse_log_p,
     spread_of,
@@ -35,76 +34,64 @@ from cannoise_jax.signatures.squares import (
     dark_sigma,
     histogram,
     mask_noisy,
-    noisy_map,
     square_map,
 )
 
 _START = 0.005
 """Share of the pixels from which that of a mixture is fitted. From a tenth or ten times as many (1 % of 96 x
-128 pixels jumping) 40 rounds gain the same to 0.1 nats, and the share moves by a tenth, within two errors."""
-
-_CLEARLY = 10.0
-"""Nats by which jumps of like size must describe the pixels better than those spread exponentially."""
+128 pixels jumping) 40 rounds gain the same to 0.1 nats."""
 
 
-class _Jumps(NamedTuple):
-    """A law of the jumps: nats that it gains, the share of the pixels that jump, the variance that these have
-    by it on average, in units of the noise, and the mean square of a jump over the square of the mean.
-    share_error, mean_error: of the share and of `mean`, given that either moves with the other."""
-
-    gain: float
-    share: float
-    variance: float
-    square: float
-    share_error: float = 0.0
-    mean_error: float = 0.0
-
-    @property
-    def mean(self) -> float:
-        """Mean jump, standard deviations of the noise: half of it on either side."""
-        return float(2 * np.sqrt(self.variance / self.square))
-
-
-def _fitted(counts: np.ndarray, centre: np.ndarray, n: int, shape: float) -> _Jumps:
-    """The most likely of those of this shape. counts, centre: of sums of squares, see `histogram`."""
-    best, tried, informed = _Jumps(0.0, 0.0, 0.25, 1 + 1 / shape), [], []
+def _gained(counts: np.ndarray, centre: np.ndarray, n: int) -> float:
+    """Nats that jumps of sizes spread exponentially gain, in the share and of the mean of most likelihood.
+    counts, centre: of sums of squares, see `histogram`."""
+    best = 0.0
     for mean in MEAN_JUMPS:
-        mixed, f = jump_log_ratio(centre, n, mean, shape), _START
+        mixed, f = jump_log_ratio(centre, n, mean), _START
         for _ in range(40):
             responsibility = f * np.exp(mixed) / (1 - f + f * np.exp(mixed))
             f = float(np.clip(np.sum(counts * responsibility) / counts.sum(), 1e-6, 0.3))
-        gain = float(np.sum(counts * np.log1p(f * np.expm1(mixed))))
-        if gain <= 0:
-            continue
-        jumps = counts / (1 + (1 - f) / f * np.exp(-mixed))
-        # Means are tried in steps; what the pixels have beyond the noise is not.
-        variance = float(np.sum(jumps * (centre / n - 1)) / max(np.sum(jumps), 1e-30))
-        tried.append(best._replace(gain=gain, share=f, variance=max(variance, 0.0)))
-        informed.append(float(np.sum(counts * (np.expm1(mixed) / (1 + f * np.expm1(mixed))) ** 2)))
-    if not tried:
-        return best
-    best = max(tried, key=lambda law: law.gain)
-    # Fewer and larger jumps look like more and smaller ones: each law counts as far as it is as likely.
-    likely = np.exp([law.gain - best.gain for law in tried])
-    shares, means = (np.array([getattr(law, k) for law in tried]) for k in ("share", "mean"))
-    share = np.average((shares - best.share) ** 2 + 1 / np.array(informed), weights=likely)
-    mean = np.average((means - best.mean) ** 2 + best.mean**2 / (shares * counts.sum()), weights=likely)
-    return best._replace(share_error=float(np.sqrt(share)), mean_error=float(np.sqrt(mean)))
+        best = max(best, float(np.sum(counts * np.log1p(f * np.expm1(mixed)))))
+    return best
 
 
-def telegraph_score(fields: tuple[Fields, ...]) -> Score[bool] | None:
+class Restless(NamedTuple):
+    """Whether most of the pixels that stand out in the mean jump, and what is expected of those that do."""
+
+    mostly: bool
+    pixels: Expected
+
+
+def telegraph_again(fields: Many, found: Score[Restless]) -> Score[Restless] | None:
+    """Other frames: how much of the variance that those which found the pixels expect of each shows again,
+    and the nats by which their frames lie on levels as far apart."""
+    score = telegraph_score(tuple(fields))
+    told = blinking_again(fields, found.payload.pixels)
+    if score is None or told is None:
+        return score
+    share, error, gain = told
+    root = float(np.sqrt(max(share, 0.0)))
+    amplitude = found.amplitude * root
+    doubt = found.amplitude * error / (2 * max(root, float(np.sqrt(error)), 1e-12))
+    return found.replace(
+        log_p=score.log_p, gain=gain, penalty=score.penalty, shift=score.shift, amplitude=amplitude,
+        error=float(np.hypot(doubt, found.error * root)),
+    )  # fmt: skip
+
+
+def telegraph_score(fields: tuple[Fields, ...]) -> Score[Restless] | None:
     """A small share of pixels with extra fluctuation. What speaks for it is that of sizes spread
-    exponentially; share and jump are those of the law that describes them better."""
+    exponentially; share, jump and strength are those of the pixels whose frames lie on levels."""
     found = square_map(fields)
     if found is None:
         return None
     whole, usable, n = found
     squares = whole[usable]
+    told = blinking(fields)
+    if told is None:
+        return None
     counts, centre = histogram(squares)
     ratios = [jump_log_ratio(centre, n, mean) for mean in FAR_JUMPS]
-    laws = [_fitted(counts, centre, n, shape) for shape in (EXPONENTIAL, PEAKED)]
-    best, told = laws[0].gain, laws[int(laws[1].gain > laws[0].gain + _CLEARLY)]
-    at, share = told.mean, told.share
     number = int(np.sum(squares > stats.chi2.isf(1e-5, n)))
     log_p = sparse_log_p(counts, ratios)
     # Rare events make other pixels noisy the next time.
@@ -112,21 +99,20 @@ def telegraph_score(fields: tuple[Fields, ...]) -> Score[bool] | None:
     if returning is not None:
         log_p = max(log_p, returning)
     sigma = dark_sigma(tuple(darks(fields)))
-    amplitude = sigma * np.sqrt(share * told.variance)
-    error = amplitude / np.sqrt(max(share * squares.size, 1.0))
+    amplitude, error = told.rms
     shift = sigma * np.sqrt(np.sqrt(2 / n / squares.size))
     return Score(
         log_p=max(log_p, LEAST_LOG_P),
-        payload=_restless(fields, whole, usable, n),
-        gain=best,
+        payload=Restless(_restless(fields, whole, usable, n), told.pixels),
+        gain=_gained(counts, centre, n),
         penalty=float(np.log(squares.size)),
-        amplitude=float(amplitude),
-        error=float(error),
+        amplitude=amplitude,
+        error=error,
         shift=float(shift),
         power=2,
         parameters={
-            "fraction": (share, "1", told.share_error),
-            "jump": (at * sigma, "DN", told.mean_error * sigma),
+            "fraction": (told.share[0], "1", told.share[1]),
+            "jump": (told.jump[0], "DN", told.jump[1]),
         },
         where={"axis": "pixel", "pixels": number},
     )
@@ -159,11 +145,11 @@ def _restless(
     return bool(np.median(squares[off]) > _RESTLESS * stats.chi2.median(freedom))
 
 
-def mask_jumping(fields: Many, score: Score[bool]) -> Many:
+def mask_jumping(fields: Many, score: Score[Restless]) -> Many:
     """Takes the pixels that jump out, and where most of those that stand out in the mean do, all of these:
     some have not jumped in as few frames."""
     left = mask_noisy(fields, score)
-    return mask_off(left) if score.payload else left
+    return mask_off(left) if score.payload.mostly else left
 
 
 _OWN = 0.3
@@ -172,7 +158,8 @@ jump are off in the mean too. It is half for jumps of 3 to 9 standard deviations
 
 
 def simulated(found: Found) -> Addition:
-    """Pixels that are in either level half of the time, at their places; the pattern is half of each jump."""
+    """Pixels that are in either level half of the time, at their places; the pattern is half of each jump, or
+    what has its variance."""
     jump, share = (found.score.parameters[k][0] for k in ("jump", "fraction"))
     sites = {} if found.pattern is None else {"sites": as_map(found.pattern / (jump / 2))}
     return Addition({"jump_dn": jump, "fraction": share, "rate": 0.5}, sites)
@@ -185,11 +172,11 @@ def jumping(
     whatever the exposure and with it; the evidence of the first is of the jumps too, where they are enough to
     make it, and that of `imprints`, what such pixels leave in means, where most of them jump."""
 
-    def readings(score: Score[bool], scores: Mapping[str, Score]) -> tuple[tuple[str | None, float], ...]:
+    def readings(score: Score[Restless], scores: Mapping[str, Score]) -> tuple[tuple[str | None, float], ...]:
         off = scores[fixed].evidence if fixed in scores else 0.0
         warm = scores[growing].evidence if growing in scores else 0.0
         more = [max(off, 0.0)] if off > warm and score.evidence > _OWN * off else []
-        if score.payload:
+        if score.payload.mostly:
             more = [max(off, warm), *(max(scores[n].evidence, 0.0) for n in imprints if n in scores)]
         return ((mechanism, score.evidence + sum(more)),)
 
@@ -214,9 +201,10 @@ def jumping(
         covers=covers,
         rare=True,
         predict=NO_LAW,
-        pattern=lambda fields, score, rng: noisy_map(fields, score.parameters["fraction"][0]),
+        pattern=lambda fields, score, rng: blinking_map(fields),
         simulate=simulated,
         place=placed(BLINKING),
+        again=telegraph_again,
         detectable=detectable,
         readings=readings,
         decides=True,

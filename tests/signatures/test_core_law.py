@@ -7,8 +7,8 @@ import pytest
 from scipy import integrate, stats
 
 from cannoise_jax.signatures.core_law import GAMMA, LOGNORMAL, NORMAL, Core, skewed
-from cannoise_jax.signatures.hot import _core
-from cannoise_jax.signatures.rare import spread_of
+from cannoise_jax.signatures.hot_law import likely_laws, share_error
+from cannoise_jax.signatures.rare import hot_log_p, spread_of
 
 CORES = [Core(law=NORMAL), Core(law=GAMMA, skew=0.8), Core(law=LOGNORMAL, skew=1.2)]
 
@@ -57,7 +57,7 @@ def test_the_tail_of_a_skewed_dark_current_is_no_hot_pixels(law, variation, hot)
     """Of normal levels as before; of skewed ones the normal law has 0.02 to 0.06 of the pixels hot where
     none is, and 0.006 to 0.026 for 0.005."""
     u = drawn(law, variation, hot, 3)
-    core, _, (share, _, gain) = _core(u, spread_of(u), True)
+    _, core, _, share, _, gain = likely_laws(u, spread_of(u), True)[0]
     assert (core.law == NORMAL) == (law == "normal")
     if hot:
         assert share == pytest.approx(hot, rel=0.35) and gain > 300
@@ -73,7 +73,7 @@ def test_levels_that_are_normal_are_skewed_by_chance_alone():
 
 def test_beside_many_hot_pixels_no_law_is_told_from_the_lower_half():
     u = drawn("normal", 0.3, 0.3, 4)
-    assert _core(u, spread_of(u), True)[0].law == NORMAL
+    assert likely_laws(u, spread_of(u), True)[0].core.law == NORMAL
 
 
 @pytest.mark.parametrize("hot", [0.0, 0.002])
@@ -84,6 +84,25 @@ def test_a_skewness_that_the_lower_half_tells_too_little_of_makes_no_hot_pixels(
     u = rng.gamma(16, 1.0, 20_000) if not hot else 4 * rng.standard_normal(20_000)
     u = u - u.mean() + rng.standard_normal(u.size) * np.where(rng.random(u.size) < 0.07, 2.5, 1.0)
     u += (rng.random(u.size) < hot) * rng.exponential(20.0, u.size)
-    core, _, (share, _, gain) = _core(u, spread_of(u), True)
+    _, core, _, share, _, gain = likely_laws(u, spread_of(u), True)[0]
     assert (core.law == NORMAL) == bool(hot)
     assert (gain > 100 and share == pytest.approx(hot, rel=0.5)) if hot else gain < 10
+
+
+@pytest.mark.parametrize(
+    ("law", "variation", "offsets"), [("gamma", 0.7, 0.3), ("log-normal", 0.5, 0.3), ("log-normal", 0.6, 0.8)]
+)
+def test_offsets_beside_long_tailed_currents_make_no_pixel_hot(law, variation, offsets):
+    """Offsets make the lower half of the levels more normal than currents are: by that half alone tens to
+    hundreds of pixels of the tail were hot, and hundreds of nats spoke for them."""
+    noise = 100 * variation * offsets
+    told = likely_laws(u := drawn(law, variation, 0.0, 3, noise=noise), spread_of(u), True)
+    assert hot_log_p(min(f.mixture for f in told), u.size) > -20
+    shares = []
+    for seed in range(4):
+        u, rng = drawn(law, variation, 0.0, seed, noise=noise), np.random.default_rng([1, seed])
+        hot = rng.random(u.size) < 0.0015
+        u += hot * rng.exponential(6000.0 * variation, u.size) / noise
+        told = likely_laws(u, spread_of(u), True)
+        shares.append((told[0].share - hot.mean()) / share_error(told, u.size))
+    assert np.max(np.abs(shares)) < 3

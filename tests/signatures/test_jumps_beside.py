@@ -70,3 +70,29 @@ def test_jumps_are_found_with_their_size_and_places():
     assert np.mean(true[sites]) > 0.85 and np.mean(sites[true]) > 0.35
     left = LOOK.score(LOOK.absorb(fields, found))
     assert left.log_p > np.log(1e-4)
+
+
+def test_other_frames_confirm_jumps_and_no_noise_of_each_pixels_own():
+    """Pixels that were chosen for how their frames lie, or by chance, on frames that had no part in it."""
+    found = LOOK.score(darks(1, jumping))
+
+    def others(law, seed=1):
+        """Of the same camera unit."""
+        rng = _RNG([13, seed])
+        return tuple(
+            f._replace(
+                contrasts=np.einsum("nt,tij->nij", helmert(FRAMES), law(rng, *unit_of(1))).astype(np.float32)
+            )
+            for f in white(rng, kinds=("dark",) * 3, frames=FRAMES, size=SIZE, sigma=SIGMA)
+        )
+
+    again = LOOK.score_again(others(jumping), found)
+    assert again.gain > 20 and again.log_p < -20
+    assert again.amplitude == pytest.approx(found.amplitude, rel=0.25)
+    chances = []
+    for law in (normal, long_tails, hit):
+        for seed in range(3):
+            none = LOOK.score_again(others(law, seed), found)
+            assert none.gain < 3
+            chances.append(np.exp(none.log_p))
+    assert min(chances) > 1e-3

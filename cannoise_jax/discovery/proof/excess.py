@@ -98,7 +98,7 @@ def _found_again(step: Step, signature: Signature, recorded: Prepared) -> Score 
     """What the recordings show of a finding of the simulator's draws; of single pixels, whose places say
     nothing of another unit, of their kind. signature: that of the recordings."""
     score = step.named.score
-    if signature.single_pixels:
+    if signature.single_pixels or signature.rare:
         return signature.score(recorded.fields)
     if signature.strength is not None:
         return signature.strength(score, step.before, recorded.fields)
