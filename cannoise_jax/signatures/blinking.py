@@ -45,6 +45,10 @@ class Expected(NamedTuple):
     variance: Float[np.ndarray, "k"]
 
 
+NONE_EXPECTED = Expected(np.zeros(0, int), *np.zeros((3, 0)))
+"""No pixel is."""
+
+
 class Blinking(NamedTuple):
     """Share of the pixels that jump, mean distance of their levels, DN, and rms of the jumps over all pixels,
     DN, each with its error; and what is expected of the pixels that were looked at."""

@@ -10,13 +10,21 @@ from jaxtyping import Bool, Float
 from scipy import stats
 
 from cannoise_jax.signatures.added import as_map, placed
-from cannoise_jax.signatures.blinking import Expected, blinking, blinking_again, blinking_map
+from cannoise_jax.signatures.blinking import (
+    NONE_EXPECTED,
+    Blinking,
+    Expected,
+    blinking,
+    blinking_again,
+    blinking_map,
+)
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.handed import Addition, Asked, Found, Many
 from cannoise_jax.signatures.heat import above_neighbours
 from cannoise_jax.signatures.hot import mask_off
 from cannoise_jax.signatures.known_shape import darks
 from cannoise_jax.signatures.least import Law, Seen
+from cannoise_jax.signatures.multiplicity import SHARED
 from cannoise_jax.signatures.rare import (
     FAR_JUMPS,
     MEAN_JUMPS,
@@ -81,15 +89,13 @@ def telegraph_again(fields: Many, found: Score[Restless]) -> Score[Restless] | N
 
 def telegraph_score(fields: tuple[Fields, ...]) -> Score[Restless] | None:
     """A small share of pixels with extra fluctuation. What speaks for it is that of sizes spread
-    exponentially; share, jump and strength are those of the pixels whose frames lie on levels."""
+    exponentially; share, jump and strength are those of the pixels whose frames lie on levels, none where
+    nothing speaks for it."""
     found = square_map(fields)
     if found is None:
         return None
     whole, usable, n = found
     squares = whole[usable]
-    told = blinking(fields)
-    if told is None:
-        return None
     counts, centre = histogram(squares)
     ratios = [jump_log_ratio(centre, n, mean) for mean in FAR_JUMPS]
     number = int(np.sum(squares > stats.chi2.isf(1e-5, n)))
@@ -99,16 +105,18 @@ def telegraph_score(fields: tuple[Fields, ...]) -> Score[Restless] | None:
     if returning is not None:
         log_p = max(log_p, returning)
     sigma = dark_sigma(tuple(darks(fields)))
-    amplitude, error = told.rms
-    shift = sigma * np.sqrt(np.sqrt(2 / n / squares.size))
+    shift = float(sigma * np.sqrt(np.sqrt(2 / n / squares.size)))
+    told = blinking(fields) if log_p < np.log(SHARED.candidate) else None
+    if told is None:
+        told = Blinking((0.0, 1 / squares.size), (0.0, sigma), (0.0, shift), NONE_EXPECTED)
     return Score(
         log_p=max(log_p, LEAST_LOG_P),
         payload=Restless(_restless(fields, whole, usable, n), told.pixels),
         gain=_gained(counts, centre, n),
         penalty=float(np.log(squares.size)),
-        amplitude=amplitude,
-        error=error,
-        shift=float(shift),
+        amplitude=told.rms[0],
+        error=told.rms[1],
+        shift=shift,
         power=2,
         parameters={
             "fraction": (told.share[0], "1", told.share[1]),
