@@ -6,10 +6,13 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.frames.battery import prepare
 from cannoise_jax.discovery.frames.splits import all_frames, prepare_split, split_recordings
+from cannoise_jax.discovery.proof import adequacy
+from cannoise_jax.discovery.proof.own_part import own_part
 from cannoise_jax.discovery.report.document import finding
 from cannoise_jax.discovery.report.not_found import detectable
 from cannoise_jax.discovery.search.declare import registered
@@ -107,3 +110,31 @@ def test_a_wrong_scale_is_of_rows_columns_and_all_else_alike():
     assert score is not None and score.log_p < -20
     assert score.parameters["scale"][0] == pytest.approx(0.01, abs=0.001)
     assert rows.score(prepared.fields).log_p > -5
+
+
+def test_crosstalk_keeps_its_name_beside_columns(monkeypatch):
+    """The camera model holds the blur of the scenes: drawn once more as an error of the references it would
+    be there twice, and against the name."""
+
+    def alter(rng):
+        columns = 2.0 * rng.standard_normal(96)
+        kernel = np.array([[0, 0.0075, 0], [0.0075, 0.97, 0.0075], [0, 0.0075, 0]])
+        lit = ("scene", "flat")
+        return lambda dn, signal, kind, t: (
+            columns + (ndimage.convolve(dn, kernel, mode="mirror") if kind in lit else dn)
+        )
+
+    left = []
+
+    def doubt(full, each, *args):
+        left.append(own_part(each))
+        return own_doubt(full, each, *args)
+
+    own_doubt = adequacy.doubt
+    monkeypatch.setattr(adequacy, "doubt", doubt)
+    found = diagnose(capture_set(11, alter, size=(64, 96)))
+    most = max(left, key=lambda part: part.before)
+    assert most.before > 1e5 and most.after < 1e-3 * most.before
+    assert {"crosstalk", "column_fpn"} <= set(found.findings) and "smear" not in found.findings
+    (step,) = (s for s in found.fitted.steps if s.named.mechanism == "crosstalk")
+    assert step.named.score.amplitude == pytest.approx(0.03, rel=0.1)

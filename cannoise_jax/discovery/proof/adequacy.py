@@ -125,13 +125,22 @@ def doubts(
         return tuple(out)
     chosen = frames_for_names(capture, splits)
     frames = [shown for _, shown in chosen]
-    off = [_off(s, n) for n, s in enumerate(steps)]
+    model, plain, every = of(steps), of(()), list(range(len(steps)))
+
+    def silenced(n: int) -> SensorModel:
+        return of((steps[n],), silent=steps[n])
+
+    def held(n: int) -> bool:
+        return len(silenced(n).mechanisms) > len(plain.mechanisms)
+
+    # What a camera model holds, as a blur by crosstalk, is in its draws.
+    speaks = [s.named.signature.off is not None for s in steps]
+    off = [_off(s, n) if speaks[n] and not held(n) else {} for n, s in enumerate(steps)]
 
     def drawn_from(model: SensorModel, names: Sequence[int]) -> Compared:
         source = beside(shaded(modelled(model, key), shades), [o for n in names if (o := off[n])], capture)
         return compare_bank(capture, source, alpha=alpha, held_back=chosen, sets=2)
 
-    model, plain, every = of(steps), of(()), list(range(len(steps)))
     full, start = drawn_from(model, every), drawn_from(plain, ())
     # Where all names together make it worse, each has to show by itself what it is worth.
     alone = _found(full) > _found(start)
@@ -139,13 +148,13 @@ def doubts(
     asked = count(1)
 
     def bears(n: int) -> tuple[Compared, list[Borne], frozenset[str]] | None:
-        silent = of((steps[n],), silent=steps[n])
+        silent = silenced(n)
         still = len(silent.mechanisms) == len(plain.mechanisms)
         if still and not off[n]:
             return None  # of the capture or the bookkeeping: it is not drawn
         tell(f"adequacy: {steps[n].named.mechanism}, {next(asked)} of {len(steps)}")
         others = [k for k in every if k != n]
-        claimed = steps[n].named.signature.speaks_for if off[n] and (alone or still) else frozenset[str]()
+        claimed = steps[n].named.signature.speaks_for if speaks[n] and (alone or still) else frozenset[str]()
         if alone:
             one, without = drawn_from(of((steps[n],)), (n,)), start
         elif still:
