@@ -10,10 +10,12 @@ import pytest
 
 from cannoise_jax import diagnose
 from cannoise_jax.discovery.compare.run import compare_bank
-from cannoise_jax.discovery.frames.splits import prepare_split, split_recordings
+from cannoise_jax.discovery.frames.battery import prepare
+from cannoise_jax.discovery.frames.splits import all_frames, prepare_split, split_recordings
 from cannoise_jax.discovery.report.outcome import baseline, not_measured, unnamed_read
 from cannoise_jax.discovery.search.declare import registered
 from cannoise_jax.discovery.search.fit import stepwise
+from cannoise_jax.discovery.search.locate import locate
 from cannoise_jax.discovery.search.model import baseline_model
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.sensor import SensorModel
@@ -305,3 +307,16 @@ def test_noise_of_pixels_without_a_name_is_read_noise(name, point, variance):
     shape = {"tukey_lambda": 0.3} if "tails" in name else {}
     more = unnamed_read(model.with_mechanism(name, point=point, sigma_dn=2.0, **shape))
     np.testing.assert_allclose(more, np.full((1, 4), variance), rtol=1e-4)
+
+
+def test_a_flat_of_which_every_pixel_is_full_now_and_then_is_not_looked_at():
+    """It has no pixel that is never full: statistics of none are no numbers."""
+    capture = capture_set(4, kinds="df", size=(64, 96))
+    *others, last = capture.recordings
+    frames = np.array(last.frames)
+    frames[np.arange(64 * 96).reshape(64, 96) % len(frames), *np.indices((64, 96))] = int(last.white_level)
+    capture = dataclasses.replace(capture, recordings=(*others, dataclasses.replace(last, frames=frames)))
+    prepared = prepare(capture, all_frames(split_recordings(capture)), False)
+    assert [f.number for f in prepared.fields] == list(range(len(others)))
+    scores = locate(prepared.fields, prepared.signatures).scores
+    assert np.isfinite([s.evidence for s in scores.values()]).all()

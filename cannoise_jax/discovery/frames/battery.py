@@ -137,11 +137,13 @@ def prepare(
         charge=charge_beyond(same, jitter, rise, baselines) if stated is not None else (),
         unlit=tuple(f for f in same if not f.lit),
     )
+    # Every pixel of some flats is full in one frame or another: these tell the codes of full ones alone.
+    told = [n for n, f in enumerate(same) if f.usable.any()] or range(len(same))
     return Prepared(
-        same,
+        tuple(same[n] for n in told),
         baselines,
         signatures(recorded, entries),
-        stacks,
+        type(stacks)(stacks[n] for n in told),
         step,
         span,
         iso_numbers(isos),
