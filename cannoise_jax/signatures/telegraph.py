@@ -108,7 +108,7 @@ def telegraph_score(fields: tuple[Fields, ...]) -> Score[Restless] | None:
     shift = float(sigma * np.sqrt(np.sqrt(2 / n / squares.size)))
     told = blinking(fields) if log_p < np.log(SHARED.candidate) else None
     if told is None:
-        told = Blinking((0.0, 1 / squares.size), (0.0, sigma), (0.0, shift), NONE_EXPECTED)
+        told = Blinking((0.0, 1 / squares.size), (sigma, sigma), (0.0, shift), NONE_EXPECTED)
     return Score(
         log_p=max(log_p, LEAST_LOG_P),
         payload=Restless(_restless(fields, whole, usable, n), told.pixels),
