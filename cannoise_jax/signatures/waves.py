@@ -149,7 +149,11 @@ def wave_score(
         },
         where={"axis": "frequency", "period_px": float(1 / along) if along else None, "direction": direction},
         payload=Wave(fy, fx, *_shares(raw, (int(where[0]), int(where[1])), scale**2 / squares)),
-        spot={"frequency_y": (fy, 2.5 * doubt[0]), "frequency_x": (fx, 2.5 * doubt[1])},
+        # Of a wave along the rows no frame tells which way it runs down the columns.
+        spot={
+            "frequency_y": (abs(fy) if direction == "row" else fy, 2.5 * doubt[0]),
+            "frequency_x": (fx, 2.5 * doubt[1]),
+        },
     )
 
 

@@ -186,3 +186,17 @@ def test_a_wave_of_new_phases_leaves_steps_between_regions_and_nothing_that_stay
     assert again is None or again.log_p > -3
     # What stays is in no contrast: one that stays takes no evidence from one that does not.
     assert wave_score(wave_absorb((field,), moved, stays=True), time="redrawn").log_p == moved.log_p
+
+
+def test_a_wave_along_the_rows_is_found_again_whichever_way_it_seems_to_run():
+    y = np.arange(SIZE[0])[:, None]
+    found = []
+    for seed in range(6):
+        (field,) = white(_RNG([11, seed]), kinds=("dark",), frames=6, size=SIZE)
+        phase = 2 * np.pi * _RNG([12, seed]).random((5, 1, 1))
+        wave = 0.9 * np.cos(2 * np.pi * 0.083 * y + phase) / 3.0
+        field = field._replace(contrasts=(field.contrasts + wave).astype(np.float32))
+        found.append(wave_score((field,), time="redrawn"))
+    signs = {np.sign(s.parameters["frequency_y"][0]) for s in found}
+    assert signs == {-1.0, 1.0}
+    assert all(found[0].same_spot(s) for s in found)
