@@ -20,10 +20,6 @@ UNNAMED_NATS = 3.0
 """What a mechanism without a name must gain beyond the best named one: as much as parts two names
 (`TIE_NATS`)."""
 
-_MOST_LIFTED = 100.0
-"""Evidence of what a mechanism leaves elsewhere, over its own, that counts for it at most: light of columns
-that crosstalk seemed to be by chance, of 16 nats, took the 20,000 of that for its own."""
-
 
 class Doubt(NamedTuple):
     """Why a name is not enough: the share of the mismatch of its own part that it leaves, and what that is,
@@ -100,7 +96,6 @@ def _ranked(
     for which, score in significant.items():
         signature = by_name[which]
         lifted = sum(other.evidence for n, other in significant.items() if n in signature.lifted_by)
-        lifted = min(lifted, _MOST_LIFTED * max(score.evidence, 0.0))
         for mechanism, value in _readings(score, signature, located, allowed):
             value += lifted - (UNNAMED_NATS if mechanism == UNKNOWN else 0.0)
             if mechanism not in best or value > evidence[mechanism]:
