@@ -13,11 +13,11 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy import special
 
 from cannoise_jax.signatures.charge_noise import own_charge
-from cannoise_jax.signatures.fields import without_pixels
+from cannoise_jax.signatures.fields import Fields, without_pixels
 from cannoise_jax.signatures.handed import Addition, Found, Many
 from cannoise_jax.signatures.jumps import at_levels, frames_of
 from cannoise_jax.signatures.known_shape import darks
@@ -100,8 +100,29 @@ class _Jumping(NamedTuple):
     above: tuple[float, float]
 
 
+def _of_several(fields: Many) -> list[Fields]:
+    """The darks in which a level shows."""
+    return [f for f in darks(fields) if f.frames > 2]
+
+
+def _against_ordinary(
+    fields: Many, pixels: Int[np.ndarray, "k"], order: Int[np.ndarray, "n"], most: int
+) -> tuple[Levels, Float[np.ndarray, "m"], float]:
+    """What some pixels speak for levels, and what ordinary ones do, each bounded, and the logarithm of the
+    mean likelihood of the latter: of the best of many laws it is to be one there. order: of pixels by how
+    noisy they are; most: ordinary ones that are looked at, of the middle half."""
+    middle = order[len(order) // 4 : -len(order) // 4]
+    ordinary = middle[np.linspace(0, len(middle) - 1, min(len(middle), most)).astype(int)]
+    seen, charge = _of_several(fields), own_charge(fields)
+    own, others = (
+        v._replace(ratio=np.minimum(v.ratio, _MOST_NATS))
+        for v in (levels_over_normal(frames_of(seen, at, charge)) for at in (pixels, ordinary))
+    )
+    return own, others.ratio, float(special.logsumexp(others.ratio)) - float(np.log(ordinary.size))
+
+
 def _look(fields: Many) -> _Jumping | None:
-    found, seen = square_map(fields), [f for f in darks(fields) if f.frames > 2]
+    found, seen = square_map(fields), _of_several(fields)
     if found is None or sum(f.frames for f in seen) < _FRAMES:
         return None
     squares, usable, freedom = found
@@ -109,14 +130,9 @@ def _look(fields: Many) -> _Jumping | None:
     order = np.flatnonzero(usable)[np.argsort(squares[usable])]
     if most < _FEWEST:
         return None
-    noisy, middle = order[-most:], order[len(order) // 4 : -len(order) // 4]
-    ordinary = middle[np.linspace(0, len(middle) - 1, most).astype(int)]
-    charge = own_charge(fields)
-
-    own, plain_ones = (levels_over_normal(frames_of(seen, at, charge)) for at in (noisy, ordinary))
-    a, b = (np.minimum(v.ratio, _MOST_NATS) for v in (own, plain_ones))
-    # The best of many laws of levels: over ordinary pixels its likelihood has the mean of one.
-    mean = float(special.logsumexp(b)) - np.log(most)
+    noisy = order[-most:]
+    own, b, mean = _against_ordinary(fields, noisy, order, most)
+    a = own.ratio
     each, others = (np.log1p(_SHARE * np.expm1(v - mean)) for v in (a, b))
     error = float(np.sqrt((np.var(each) + np.var(others)) / most))
     ratio, share = a - mean, _SHARE
@@ -163,8 +179,8 @@ def beside_score(fields: Many) -> Score[np.ndarray] | None:
 def beside_again(fields: Many, found: Score[np.ndarray]) -> Score[np.ndarray] | None:
     """Other frames, which had no part in choosing the pixels: whether those of the pixels that jump lie on
     levels more than those of ordinary ones, whose law all have that do not, and how noisy they are again."""
-    seen, squares = [f for f in darks(fields) if f.frames > 2], square_map(fields)
-    if squares is None or sum(len(f.contrasts) for f in seen) < _AGAIN:
+    squares = square_map(fields)
+    if squares is None or sum(len(f.contrasts) for f in _of_several(fields)) < _AGAIN:
         return None
     whole, usable, freedom = squares
     sites = np.flatnonzero((found.payload > 0) & usable)
@@ -172,16 +188,10 @@ def beside_again(fields: Many, found: Score[np.ndarray]) -> Score[np.ndarray] | 
     order = order[np.argsort(whole.ravel()[order], kind="stable")]
     if not sites.size or order.size < _FEWEST:
         return None
-    middle = order[len(order) // 4 : -len(order) // 4]
-    ordinary = middle[np.linspace(0, len(middle) - 1, min(len(middle), _ORDINARY)).astype(int)]
-    charge = own_charge(fields)
-    own, plain_ones = (
-        np.minimum(levels_over_normal(frames_of(seen, at, charge)).ratio, _MOST_NATS)
-        for at in (sites, ordinary)
-    )
-    mean = float(special.logsumexp(plain_ones)) - np.log(plain_ones.size)
+    levels, others, mean = _against_ordinary(fields, sites, order, _ORDINARY)
+    own = levels.ratio
     each = np.log1p(_SURELY * np.expm1(own - mean))
-    z = float(np.mean(own) - np.mean(plain_ones)) / (float(np.std(plain_ones)) / np.sqrt(sites.size))
+    z = float(np.mean(own) - np.mean(others)) / (float(np.std(others)) / np.sqrt(sites.size))
     gain = float(np.sum(each))
     # What they have beyond ordinary pixels, against what they were found to.
     expected = (found.payload.ravel()[sites] / dark_sigma(tuple(darks(fields)))) ** 2 / 4

@@ -12,7 +12,6 @@ from scipy import stats
 from cannoise_jax.signatures.added import as_map, placed
 from cannoise_jax.signatures.blinking import (
     NONE_EXPECTED,
-    Blinking,
     Expected,
     blinking,
     blinking_again,
@@ -73,10 +72,12 @@ class Restless(NamedTuple):
 def telegraph_again(fields: Many, found: Score[Restless]) -> Score[Restless] | None:
     """Other frames: how much of the variance that those which found the pixels expect of each shows again,
     and the nats by which their frames lie on levels as far apart."""
-    score = telegraph_score(tuple(fields))
     told = blinking_again(fields, found.payload.pixels)
-    if score is None or told is None:
-        return score
+    if told is None:
+        return telegraph_score(tuple(fields))
+    score = _noticed(tuple(fields))
+    if score is None:
+        return None
     share, error, gain = told
     root = float(np.sqrt(max(share, 0.0)))
     amplitude = found.amplitude * root
@@ -91,6 +92,25 @@ def telegraph_score(fields: tuple[Fields, ...]) -> Score[Restless] | None:
     """A small share of pixels with extra fluctuation. What speaks for it is that of sizes spread
     exponentially; share, jump and strength are those of the pixels whose frames lie on levels, none where
     nothing speaks for it."""
+    score = _noticed(fields)
+    if score is None or not score.log_p < np.log(SHARED.candidate):
+        return score
+    told = blinking(fields)
+    if told is None:
+        return score
+    return score.replace(
+        payload=score.payload._replace(pixels=told.pixels),
+        amplitude=told.rms[0],
+        error=told.rms[1],
+        parameters={
+            "fraction": (told.share[0], "1", told.share[1]),
+            "jump": (told.jump[0], "DN", told.jump[1]),
+        },
+    )
+
+
+def _noticed(fields: tuple[Fields, ...]) -> Score[Restless] | None:
+    """What speaks for pixels that jump, by how noisy pixels are, without asking which do and by how much."""
     found = square_map(fields)
     if found is None:
         return None
@@ -106,22 +126,16 @@ def telegraph_score(fields: tuple[Fields, ...]) -> Score[Restless] | None:
         log_p = max(log_p, returning)
     sigma = dark_sigma(tuple(darks(fields)))
     shift = float(sigma * np.sqrt(np.sqrt(2 / n / squares.size)))
-    told = blinking(fields) if log_p < np.log(SHARED.candidate) else None
-    if told is None:
-        told = Blinking((0.0, 1 / squares.size), (sigma, sigma), (0.0, shift), NONE_EXPECTED)
     return Score(
         log_p=max(log_p, LEAST_LOG_P),
-        payload=Restless(_restless(fields, whole, usable, n), told.pixels),
+        payload=Restless(_restless(fields, whole, usable, n), NONE_EXPECTED),
         gain=_gained(counts, centre, n),
         penalty=float(np.log(squares.size)),
-        amplitude=told.rms[0],
-        error=told.rms[1],
+        amplitude=0.0,
+        error=shift,
         shift=shift,
         power=2,
-        parameters={
-            "fraction": (told.share[0], "1", told.share[1]),
-            "jump": (told.jump[0], "DN", told.jump[1]),
-        },
+        parameters={"fraction": (0.0, "1", 1 / squares.size), "jump": (sigma, "DN", sigma)},
         where={"axis": "pixel", "pixels": number},
     )
 

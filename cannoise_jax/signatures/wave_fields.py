@@ -74,24 +74,16 @@ def wave_absorb(fields: tuple[Fields, ...], score: Score[Wave], *, stays: bool) 
         weight = f.weight.ravel().astype(np.float64)
         total = max(float(np.sum(weight**2)), 1e-30)
         q = orthonormal((waves - (waves @ weight**2 / total)[:, None]) * weight)
-        left = f if stays else map_contrasts(f, partial(projected_out, q=q))
-        if f.static is not None:
-            left = left._replace(static=without_beside(f.static, q, regions * weight))
-        out.append(left)
+        left = f if stays else map_contrasts(f._replace(static=None), partial(projected_out, q=q))
+        static = None if f.static is None else without_beside(f.static, q, regions * weight)
+        out.append(left._replace(static=static))
     return tuple(out)
 
 
 def _regions(size: tuple[int, int]) -> Float[np.ndarray, "k p"]:
     """Bands of rows and of columns that amplifiers may read, each 1 in its own, at every pixel."""
-    rows, columns = (np.arange(n) * k // n for n, k in zip(size, _BANDS, strict=True))
-    at = np.concatenate(
-        [
-            np.broadcast_to((rows == k)[:, None] if along else columns[None] == k, size)[None]
-            for along, count in zip((True, False), _BANDS, strict=True)
-            for k in range(count)
-        ]
-    )
-    return at.reshape(len(at), -1).astype(np.float64)
+    rows, columns = (np.eye(k)[:, np.arange(n) * k // n] for n, k in zip(size, _BANDS, strict=True))
+    return np.concatenate([np.kron(rows, np.ones(size[1])), np.tile(columns, size[0])])
 
 
 def _neighbours(fy: float, fx: float, size: tuple[int, int]) -> Float[np.ndarray, "18 p"]:

@@ -35,6 +35,7 @@ def test_number_and_size_of_jumps(sizes):
     for name, true in truth.items():
         value, _, error = score.parameters[name]
         assert abs(value - true) < 2 * error and error < 0.4 * value
+        assert value == pytest.approx(true, rel=0.4)
 
 
 def test_small_jumps_of_one_size_have_the_strength_that_they_have():

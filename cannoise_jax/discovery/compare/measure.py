@@ -35,8 +35,9 @@ from cannoise_jax.discovery.compare.families import (
     of,
 )
 from cannoise_jax.discovery.compare.fixed_moments import moment_variance
-from cannoise_jax.discovery.compare.moves import lines_after, noise_of_lines
-from cannoise_jax.discovery.compare.view import FINE, RESIDUES, View
+from cannoise_jax.discovery.compare.moves import FINE, lines_after, noise_of_lines
+from cannoise_jax.discovery.compare.view import RESIDUES, View
+from cannoise_jax.discovery.frames.draws import within_codes
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.signatures import bank
 from cannoise_jax.signatures.fields import helmert
@@ -217,7 +218,7 @@ def _units(
     rng = np.random.default_rng(0)
 
     def more() -> np.ndarray | None:
-        return (rng.random(kept.shape, np.float32) - np.float32(0.5)) * np.float32(grain)
+        return within_codes(kept.shape, rng) * np.float32(grain)
 
     out = [_unit(z, kept, share, coarse, more() if grain > FINE else None) for z in fields]
     strength = np.mean([u[STRUCTURE] for u in out], 0).reshape(bank.counts(kept.shape).shape)

@@ -7,9 +7,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import stats
 
+from cannoise_jax.discovery.frames.draws import within_codes
 from cannoise_jax.signatures import bank
 from cannoise_jax.signatures.fields import helmert
 
+FINE = 0.25
+"""Steps of the codes, in standard deviations, from which on the place of a limit between two of them counts:
+of a normal law 2.5 standard deviations out, a limit that moves by half a step moves counts by a third."""
 JUMPS = (2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
 """Standard deviations from which values that lie off alone are counted, up to the next: half of one where
 noise has its tails, doubled twice an octave beyond."""
@@ -38,19 +42,20 @@ def lone_values(
 ) -> tuple[Bool[np.ndarray, "h w"], Float[np.ndarray, "t k"]]:
     """Pixels whose noise is like the others' but for one outlying value, and how many values of every frame
     lie off alone, by how far and to which side: first those below, the nearest first. grain: step of the
-    codes, in units of the noise, over which values are spread before they are counted, so that no limit lies
-    between two codes; None where that is nothing."""
+    codes, in units of the noise: where it is not `FINE` values are spread over it before they are counted, so
+    that no limit lies between two codes; None: not known to be of codes."""
     frames, rng = len(z) + 1, np.random.default_rng(0)
     if frames < 2:
         return np.zeros(z.shape[1:], bool), np.zeros((1, 2 * len(JUMPS)))
+    fine = grain is None or not usable.any() or float(np.median(grain[usable])) <= FINE
     total = np.sum(z**2, 0)
     limit = scale * stats.chi2.isf(1e-3, max(frames - 2, 1))
     found, counts = np.zeros(z.shape[1:], bool), np.zeros((frames, 2 * len(JUMPS)))
     edges = np.array([*JUMPS, np.inf])
     for t in range(frames):
         moved = values_of(z, t)
-        if grain is not None:
-            moved = moved + grain * (rng.random(moved.shape, np.float32) - np.float32(0.5))
+        if grain is not None and not fine:
+            moved = moved + grain * within_codes(moved.shape, rng)
         far = usable & (np.abs(moved) > JUMPS[0] * np.sqrt(scale)) & (total - moved**2 < limit)
         size = moved[far] / np.sqrt(scale[far])
         for side, sign in enumerate((-1, 1)):

@@ -28,11 +28,6 @@ RESIDUES = (2, 4, 8, 16)
 """The stored codes are counted modulo each of these."""
 
 
-FINE = 0.25
-"""Steps of the codes, in standard deviations, from which on the place of a limit between two of them counts:
-of a normal law 2.5 standard deviations out, a limit that moves by half a step moves counts by a third."""
-
-
 class Noise(NamedTuple):
     """The simulator's noise of one recording: variance (DN^2) of every mosaic site at its signal knots."""
 
@@ -191,9 +186,7 @@ def view(
         inner = z[: raw.frames - 1]
         unsteady = odd & raw.usable
         jumping = moves.two_levels(inner[:, unsteady], scale[unsteady])
-        grain = step * weight
-        fine = float(np.median(grain[raw.usable])) <= FINE if raw.usable.any() else True
-        alone, single = moves.lone_values(inner, scale, raw.usable, None if fine else grain)
+        alone, single = moves.lone_values(inner, scale, raw.usable, step * weight)
         odd |= alone
         steadiness = steadiness / scale
     level, static, static_kept = np.zeros(4), None, raw.usable & ~odd

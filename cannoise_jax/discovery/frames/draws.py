@@ -140,9 +140,13 @@ def as_fields(prepared: Prepared, drawn: Frames) -> tuple[Fields, ...]:
     return tuple(made[f.number] for _, f in pairs)
 
 
+def within_codes(shape: tuple[int, ...], rng: np.random.Generator) -> Float[np.ndarray, "..."]:
+    """Places within a code, of which each is as likely as the next: -1/2 to 1/2 steps of the codes."""
+    return rng.random(shape, np.float32) - np.float32(0.5)
+
+
 def spread_codes(field: Fields, rng: np.random.Generator) -> Float[np.ndarray, "t h w"]:
     """Standardised residual of every frame, each code spread evenly over its step: where the lattice of codes
     lies between those of two recordings is then no difference."""
     frames = frame_fields(field)
-    dither = rng.random(frames.shape, np.float32) - np.float32(0.5)
-    return frames + dither * (field.step * field.weight).astype(np.float32)
+    return frames + within_codes(frames.shape, rng) * (field.step * field.weight).astype(np.float32)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from itertools import count
 from types import MappingProxyType
 
@@ -127,6 +128,7 @@ def doubts(
     frames = [shown for _, shown in chosen]
     model, plain, every = of(steps), of(()), list(range(len(steps)))
 
+    @cache
     def silenced(n: int) -> SensorModel:
         return of((steps[n],), silent=steps[n])
 
@@ -148,8 +150,7 @@ def doubts(
     asked = count(1)
 
     def bears(n: int) -> tuple[Compared, list[Borne], frozenset[str]] | None:
-        silent = silenced(n)
-        still = len(silent.mechanisms) == len(plain.mechanisms)
+        still = not held(n)
         if still and not off[n]:
             return None  # of the capture or the bookkeeping: it is not drawn
         tell(f"adequacy: {steps[n].named.mechanism}, {next(asked)} of {len(steps)}")
@@ -161,7 +162,7 @@ def doubts(
             one, without = full, drawn_from(model, others)
         else:
             # At strength zero where that is none at all: a program of these mechanisms is compiled already.
-            if _nothing(silent, plain, capture.recordings[0].size):
+            if _nothing(silenced(n), plain, capture.recordings[0].size):
                 less = of(steps, silent=steps[n])
             else:
                 less = of(tuple(s for s in steps if s is not steps[n]))
