@@ -31,16 +31,18 @@ ones."""
 _OPEN = (1.0, 2.0, 3.0, 4.0)
 """Standard errors by which the skewness may be more than the lower half has it: where hits were taken out, or
 noise moves whole rows, gamma-distributed currents of variation 0.25 had 1 to 4 less."""
-_INNER = tuple(0.5 * 1.2 ** np.arange(13))
-"""Skewnesses of currents beside normal values that are tried; their variation is about a third of it, or a
-half where they are gamma-distributed."""
-_NORMAL = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
+_INNER = {GAMMA: tuple(0.5 * 1.3 ** np.arange(9)), LOGNORMAL: tuple(0.5 * 1.3 ** np.arange(17))}
+"""Skewnesses of currents beside normal values from which on the likeliest is looked for. Gamma-distributed ones
+vary by half of it, up to twice their mean; of log-normal ones the logarithm varies by up to 1.5."""
+_NORMAL = (0.0003, 0.001, 0.003, 0.01, 0.03, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8)
 """Shares of the variance that the normal values may have."""
+_REFINED = 40
+"""Laws tried on the way from each of the best of these to the likeliest."""
 _BULK, _TAKEN = 0.98, 4
 """Share of the levels, the lowest, that tell such laws, and how many of these are looked at further."""
 _SMALL = 1e-13
 """Density below which a sum that is worked out by transforms is rounding."""
-_STEP, _LAST = 0.02, 60.0
+_STEP, _LAST = 0.01, 60.0
 _GRID = np.arange(-8.0, _LAST, _STEP)
 """Where densities are worked out, standard deviations; beyond, a sum falls as the exponential part does."""
 _LEAST, _BELOW_ALL = -700.0, -12.0
@@ -112,9 +114,9 @@ def skewed(u: Float[np.ndarray, "n"]) -> tuple[Core, ...]:
     return tuple(_through(u, law, skew) for law, skew in told if skew > _SURE * _ERROR / np.sqrt(u.size))
 
 
-def level(u: Float[np.ndarray, "n"]) -> Core:
-    """The normal law whose lower half is that of the levels."""
-    _, middle, median = np.quantile(u, _BELOW)
+def level(u: Float[np.ndarray, "n"], share: float = 0.0) -> Core:
+    """The normal law whose lower half is that of the levels, but for a share of them, which is above."""
+    _, middle, median = np.quantile(u, np.array(_BELOW) * (1 - share))
     return Core(float(median - middle) / float(-stats.norm.ppf(_BELOW[1])), float(median))
 
 
@@ -145,15 +147,33 @@ def widened(u: Float[np.ndarray, "n"]) -> tuple[Core, ...]:
         over = np.log(max(-float(np.expm1(law.logcdf(core.standard(cut)))), 1e-12))
         return inside + above * float(over)
 
+    def through(law: str, skew: float, normal: float) -> Core:
+        _, inner, centre = _of(law, skew, normal).ppf(_BELOW)
+        spread = float(median - middle) / float(centre - inner)
+        return Core(spread, float(median - spread * centre), law, skew, normal)
+
+    def likeliest(near: Core) -> Core:
+        """The law near this one that has the bulk best."""
+        bounds = [(np.log(values[0]), np.log(values[-1])) for values in (_INNER[near.law], _NORMAL)]
+
+        def at(logs: np.ndarray) -> Core:
+            return through(near.law, *np.round(np.exp(logs), 4))
+
+        start = np.log([near.skew, near.normal])
+        simplex = start + np.array([[0, 0], [0.15, 0], [0, 0.4]]) * np.where(
+            start > np.mean(bounds, 1), -1, 1
+        )
+        options = {"maxfev": _REFINED, "initial_simplex": simplex}
+        told = optimize.minimize(
+            lambda logs: -nats(at(logs)), start, method="Nelder-Mead", bounds=bounds, options=options
+        )
+        return at(told.x)
+
     out: list[Core] = []
     for law in (GAMMA, LOGNORMAL):
-        tried = []
-        for skew in _INNER:
-            for normal in _NORMAL:
-                _, inner, centre = _of(law, skew, normal).ppf(_BELOW)
-                spread = float(median - middle) / float(centre - inner)
-                tried.append(Core(spread, float(median - spread * centre), law, skew, normal))
-        out += sorted(tried, key=nats)[-_TAKEN:]
+        tried = [through(law, skew, normal) for skew in _INNER[law] for normal in _NORMAL]
+        best = sorted(tried, key=nats)[-_TAKEN:]
+        out += [*best, likeliest(best[-1])]
     return tuple(out)
 
 

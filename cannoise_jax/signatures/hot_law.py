@@ -20,6 +20,8 @@ from cannoise_jax.signatures.rare import CENTRES, FAR, HEATS, level_counts, log_
 
 _FEW = 0.05
 """Share of hot pixels up to which the lower half of all levels tells the law of the others."""
+_ROUNDS = 3
+"""Of a share of hot pixels and the law below it, each told with the other, until they stand."""
 _CLEARLY = 10.0
 """Nats by which a law must be better that has more skewness than the lower half of the levels, or normal
 values beside a skewed one; and up to which hot pixels beside the first are none. Gamma-distributed currents
@@ -62,8 +64,17 @@ def likely_laws(u: Float[np.ndarray, "n"], spread: float, mapped: bool) -> list[
         # Beside more hot ones the lower half of all levels is that of no law.
         return [f for f in map(beside, laws) if f.share < _FEW]
 
-    laws = (level(u), *skewed(u)) if mapped else ()
-    told = sorted([beside(Core(spread)), *few(laws)], key=lambda f: -f.nats)
+    def many(told: Told) -> list[Told]:
+        """Normal laws beside as many hot ones as the one before has."""
+        out: list[Told] = []
+        for _ in range(_ROUNDS):
+            told = beside(level(u, told.share))
+            out.append(told)
+        return out
+
+    normal = [beside(level(u))] if mapped else []
+    normal += many(normal[0]) if normal and normal[0].share >= _FEW else []
+    told = sorted([beside(Core(spread)), *normal, *few(skewed(u) if mapped else ())], key=lambda f: -f.nats)
     if mapped and told[0].gain > _ALIKE:  # else nothing stands out from the shorter tail already
         wide = sorted(few(widened(u)), key=lambda f: -f.nats)
         told = wide if wide and wide[0].nats > told[0].nats + _CLEARLY else told

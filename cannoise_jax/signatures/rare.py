@@ -14,8 +14,15 @@ _SHARES = (2e-5, 1e-4, 5e-4, 2e-3)
 """Shares of rare pixels that are tried."""
 HEATS = tuple(np.exp(np.linspace(np.log(1.5), np.log(200), 14)))
 """Mean heights that are tried, in standard deviations of a pixel's level."""
-EDGES = np.concatenate([np.arange(-8, 8, 0.05), np.geomspace(8, 1e7, 1400)])
-"""Bins of the levels, standard deviations."""
+EDGES = np.concatenate(
+    [
+        np.arange(-8, -1.5, 0.05),
+        np.arange(-1.5, 1.5, 0.0125),
+        np.arange(1.5, 8, 0.05),
+        np.geomspace(8, 1e7, 1400),
+    ]
+)
+"""Bins of the levels, standard deviations: finest where most of a law lies that is skewed far more than a normal one."""
 CENTRES = (EDGES[1:] + EDGES[:-1]) / 2
 FAR = 600.0
 """Nats by which one pixel may speak for an effect: beyond, no law of the noise is known so well."""

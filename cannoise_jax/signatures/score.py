@@ -86,7 +86,8 @@ class Score(Generic[P]):
         total = 2 * value * error * np.sqrt(n / 2) if np.isfinite(n) else np.inf
         if not 0 < total < np.inf:
             return max(low, 0.0), high
-        noise = max(total - value**2, 0.0)
+        total = max(total, value**2)  # no error is below that of the draws themselves
+        noise = total - value**2
         least, most = (total * n / stats.chi2.isf(p, n) - noise for p in (0.05, 0.95))
         return float(np.sqrt(max(least, 0.0))), float(np.sqrt(max(most, value**2)))
 

@@ -10,7 +10,7 @@ import pytest
 from cannoise_jax.discovery.frames.blocks import leave_out
 from cannoise_jax.discovery.frames.splits import prepare_split, split_frames, split_recordings
 from cannoise_jax.discovery.proof.gains import strength_beyond
-from cannoise_jax.discovery.search.locate import locate
+from cannoise_jax.discovery.search.locate import NotJudgedWarning, locate
 from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.signatures.fields import contrast_matrix, frame_fields
 from cannoise_jax.signatures.multiplicity import SHARED
@@ -135,16 +135,25 @@ def test_strength_of_a_pattern_is_unbiased_and_covered_though_it_was_selected(ra
     assert np.std(error) <= 1.05 * np.std(alone)
 
 
-def test_a_rare_test_takes_little_of_the_error_rate_and_pays_for_it():
-    def signature(name, log_p, rare=False):
-        score = Score(
-            log_p=log_p, gain=1.0, penalty=0.0, amplitude=1.0, error=1.0, shift=1.0, power=1,
-            parameters={}, where={"axis": "row"},
-        )  # fmt: skip
-        like = SIGNATURES["frame_additive"]
-        return dataclasses.replace(like, name=name, score=lambda fields: score, rare=rare)
+def _scoring(name, log_p, rare=False, gain=1.0):
+    """A signature whose score on any fields is this one."""
+    score = Score(
+        log_p=log_p, gain=gain, penalty=0.0, amplitude=1.0, error=1.0, shift=1.0, power=1,
+        parameters={}, where={"axis": "row"},
+    )  # fmt: skip
+    return dataclasses.replace(SIGNATURES["frame_additive"], name=name, score=lambda fields: score, rare=rare)
 
-    found = locate((), (signature("a", -9.0), signature("b", -9.0), signature("c", -9.0, rare=True)))
+
+@pytest.mark.parametrize("log_p, gain", [(-9.0, float("nan")), (float("nan"), 1.0), (-9.0, float("inf"))])
+def test_a_score_that_is_no_number_is_left_out_alone_and_says_so(log_p, gain):
+    with pytest.warns(NotJudgedWarning, match="wrong: its score is not a number"):
+        found = locate((), (_scoring("right", -9.0), _scoring("wrong", log_p, gain=gain)))
+    assert list(found.scores) == ["right"]
+    assert found.log_p == locate((), (_scoring("right", -9.0),)).log_p
+
+
+def test_a_rare_test_takes_little_of_the_error_rate_and_pays_for_it():
+    found = locate((), (_scoring("a", -9.0), _scoring("b", -9.0), _scoring("c", -9.0, rare=True)))
     assert found.log_p["a"] == pytest.approx(sidak(-9.0, found.tests))
     assert found.log_p["c"] == pytest.approx(sidak(-9.0, found.tests / SHARED.rare))
     rng = np.random.default_rng(54)

@@ -32,3 +32,13 @@ def test_draws_that_tell_nothing_do_not_count():
     power, information = np.array([40.0, 5.0]), np.array([10.0, 1e-6])
     score = component_score(power, information, np.array([5, 5]), scaling="additive", where={"axis": "frame"})
     assert score.drawn == pytest.approx(5, rel=1e-3)
+
+
+def test_an_interval_is_never_below_the_scatter_of_its_draws():
+    """An error that counts the noise alone leaves the strength within what so many draws scatter."""
+    score = component_score(
+        np.array([4000.0]), np.array([1.0]), np.array([1000]), scaling="additive", where={"axis": "frame"}
+    ).replace(drawn=1000.0, error=1e-3)
+    low, high = score.interval90
+    assert low < score.amplitude < high
+    assert high / low == pytest.approx(np.exp(2 * 1.645 / np.sqrt(2 * 1000)), rel=0.01)

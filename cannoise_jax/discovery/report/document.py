@@ -257,9 +257,13 @@ def finding(diagnosis: Result, step: Step, proof: Proof) -> dict[str, Any]:
         "where": _where(step.named.score),
         "amplitude": {"value": value, "unit": unit, "ci90": interval},
         "parameters": {
-            n: {"value": v / own, "unit": u, "ci90": [(v - Z90 * e) / own, (v + Z90 * e) / own]}
+            n: {"value": v / own, "unit": u, "ci90": [limit / own for limit in limits]}
             for n, (v, u, e) in score.parameters.items()
             for own in (_larger(u, grown),)
+            # The strength, said once more, has the interval of the strength.
+            for limits in (
+                score.interval90 if v == score.amplitude and u == unit else (v - Z90 * e, v + Z90 * e),
+            )
         },
         "p_value": p_of(step.log_p),
         "log_e_value": proof.log_e,

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import NamedTuple
+
+import numpy as np
 
 from cannoise_jax.discovery.frames.threads import each
 from cannoise_jax.signatures.fields import Fields
@@ -24,6 +27,22 @@ class Located(NamedTuple):
         return dict(sorted(rejected, key=lambda s: -s[1].evidence))
 
 
+class NotJudgedWarning(UserWarning):
+    """A signature whose score is no number on these recordings: it is not looked for."""
+
+
+def _told(name: str, score: Score) -> bool:
+    """Whether evidence, p-value and strength are numbers; else it is said, and the others count."""
+    told = bool(np.isfinite([score.evidence, score.log_p, score.amplitude]).all())
+    if not told:
+        warnings.warn(
+            f"{name}: its score is not a number on these recordings; it is left out",
+            NotJudgedWarning,
+            stacklevel=3,
+        )
+    return told
+
+
 def locate(
     fields: tuple[Fields, ...],
     signatures: tuple[Signature, ...],
@@ -40,7 +59,7 @@ def locate(
     scores = dict(known or {})
     missing = [s for s in signatures if s.name not in scores]
     found = zip(missing, each(lambda s: s.score(fields), missing), strict=True)
-    scores |= {s.name: score for s, score in found if score is not None}
+    scores |= {s.name: score for s, score in found if score is not None and _told(s.name, score)}
     scores = {s.name: scores[s.name] for s in signatures if s.name in scores}
     number = tests or SHARED.effective * sum(p.weight for p in signatures if p.name in scores)
     share = {p.name: p.weight for p in signatures}
