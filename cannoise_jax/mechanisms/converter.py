@@ -173,7 +173,7 @@ ENTRIES: tuple[Entry, ...] = (
         needs="flats or scenes whose noise spans three codes or more",
         signatures=lambda recorded: (
             looks.codes.combed(recorded, name="comb", parameter="period", covers=("comb",),
-                shapes=looks.SHAPES),
+                shapes=looks.OF_CODES),
         ),
         estimator=Estimator(codes.missing_codes, exact=True),
         examples=Examples("codes", strong={"period": 4.0}, cases=(Case({"period": 8.0}, FLAT, exact=True),)),

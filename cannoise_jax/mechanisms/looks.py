@@ -65,7 +65,9 @@ LIGHT_LEVELS = ("greens", "shading", *SCALES)
 """Signatures of levels, whose standard errors know pixel noise only: a pattern of lines or pixels scatters
 channel means by more, so they are set aside once such a pattern is in the model. A shared offset is
 part of the fitted read noise too, so a stated read noise is not judged beside it."""
-SHAPES = ("kurtosis", "light_tails", "pixel_spread", "skewness", "telegraph")
+OF_CODES = ("kurtosis", "light_tails", "pixel_spread", "skewness")
+"""Signatures of the shape of the noise of single pixels that values moved from code to code leave a trace in."""
+SHAPES = (*OF_CODES, "telegraph")
 """Signatures of the shape of the noise of single pixels."""
 HOT = ("hot_additive", "hot_thermal")
 NOISY = (*SHAPES, *HOT)

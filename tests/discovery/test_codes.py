@@ -6,7 +6,7 @@ import pytest
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.frames.splits import splits_of
 from cannoise_jax.signatures.codes import Codes, comb_score
-from tests.discovery.capture import capture_set
+from tests.discovery.capture import SIZE, capture_set
 
 LEVELS = ((500, 5.0), (900, 22.0), (1500, 31.0))
 
@@ -87,3 +87,21 @@ def test_a_dead_column_in_broad_flats_leaves_no_comb(seed):
     looking = splits_of(capture_set(seed, alter, kinds="f", read=20.0)).looking
     comb = next(s for s in looking.signatures if s.name == "comb").score(looking.fields)
     assert comb is not None and comb.log_p > -7
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01])
+def test_pixels_that_jump_are_told_beside_a_comb(share):
+    """A comb makes no pixel louder than others: what jumps by several codes is not its doing."""
+
+    def alter(rng):
+        jump = rng.exponential(30.0, SIZE) * (rng.random(SIZE) < share)
+
+        def change(dn, *_):
+            codes = np.rint(dn + jump * (rng.random(SIZE) < 0.5))
+            return np.where(codes % 8 == 7, codes + 1, codes)
+
+        return change
+
+    found = diagnose(capture_set(5, alter, kinds="df"), compare=False).findings
+    assert "missing_codes" in found
+    assert ("rts" in found) == bool(share)
