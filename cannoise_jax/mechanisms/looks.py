@@ -66,7 +66,7 @@ LIGHT_LEVELS = ("greens", "shading", *SCALES)
 channel means by more, so they are set aside once such a pattern is in the model. A shared offset is
 part of the fitted read noise too, so a stated read noise is not judged beside it."""
 OF_CODES = ("kurtosis", "light_tails", "pixel_spread", "skewness")
-"""Signatures of the shape of the noise of single pixels that values moved from code to code leave a trace in."""
+"""Of the shape of the noise of single pixels: where values that are moved from code to code leave a trace."""
 SHAPES = (*OF_CODES, "telegraph")
 """Signatures of the shape of the noise of single pixels."""
 HOT = ("hot_additive", "hot_thermal")

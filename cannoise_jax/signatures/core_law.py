@@ -32,8 +32,8 @@ _OPEN = (1.0, 2.0, 3.0, 4.0)
 """Standard errors by which the skewness may be more than the lower half has it: where hits were taken out, or
 noise moves whole rows, gamma-distributed currents of variation 0.25 had 1 to 4 less."""
 _INNER = {GAMMA: tuple(0.5 * 1.3 ** np.arange(9)), LOGNORMAL: tuple(0.5 * 1.3 ** np.arange(17))}
-"""Skewnesses of currents beside normal values from which on the likeliest is looked for. Gamma-distributed ones
-vary by half of it, up to twice their mean; of log-normal ones the logarithm varies by up to 1.5."""
+"""Skewnesses of currents beside normal values from which on the likeliest is looked for. Gamma-distributed
+ones vary by half of it, up to twice their mean; of log-normal ones the logarithm varies by up to 1.5."""
 _NORMAL = (0.0003, 0.001, 0.003, 0.01, 0.03, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8)
 """Shares of the variance that the normal values may have."""
 _REFINED = 40

@@ -22,7 +22,7 @@ EDGES = np.concatenate(
         np.geomspace(8, 1e7, 1400),
     ]
 )
-"""Bins of the levels, standard deviations: finest where most of a law lies that is skewed far more than a normal one."""
+"""Bins of the levels, standard deviations: finest where most of a law lies that is skewed far."""
 CENTRES = (EDGES[1:] + EDGES[:-1]) / 2
 FAR = 600.0
 """Nats by which one pixel may speak for an effect: beyond, no law of the noise is known so well."""
