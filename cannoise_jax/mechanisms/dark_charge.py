@@ -256,7 +256,8 @@ ENTRIES: tuple[Entry, ...] = (
         needs="darks, best at a long exposure",
         signatures=looks.always(
             looks.glow.from_edges(name="glow", parameter="e_per_s",
-                covers=looks.SMOOTH, before=(*looks.MAPS, *looks.THERMAL_LINES), lifted_by=("dark_level",)),
+                covers=looks.SMOOTH, before=(*looks.MAPS, *looks.THERMAL_LINES, *looks.HOT),
+                lifted_by=("dark_level",)),
         ),
         estimator=Estimator(glow.amp_glow, without=glow.without_glow, maps=measured.glow),
         examples=Examples("columns", strong={"e_per_s": 200.0, "length": 0.4},

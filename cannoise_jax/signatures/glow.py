@@ -19,6 +19,7 @@ from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.added import as_map, placed
 from cannoise_jax.signatures.answers import as_it_stays
 from cannoise_jax.signatures.charge_noise import louder
+from cannoise_jax.signatures.even_glow import grows, smooth
 from cannoise_jax.signatures.falls import (
     COST,
     TRIALS,
@@ -121,6 +122,7 @@ def glow_score(fields: tuple[Fields, ...]) -> Score[Glow] | None:
     k = int(np.argmax(z))
     amplitude, error = _strength(u, i, _weights(u, i))
     names, g = glow_templates(size)
+    gain = 0.5 * max(float(z[k]), 0.0) ** 2
     template, strength, formed = g[k].reshape(size), float(max(u[k] / i[k], 0.0)), z[k] > _SHOWS_FORM
     stands_out = False
     if formed:
@@ -131,10 +133,11 @@ def glow_score(fields: tuple[Fields, ...]) -> Score[Glow] | None:
         if stands_out and not any(f.answers.mixed for f in fields):
             template = _free_form(fields, template, strength, longest)
             strength, error = _one(fields, template)
+            gain = max(gain, 0.5 * (strength / error) ** 2)
         amplitude = strength
     return Score(
         log_p=sidak(normal_log_p(float(z[k]), 1), TRIALS),
-        gain=0.5 * max(float(z[k]), 0.0) ** 2,
+        gain=gain,
         penalty=COST,
         amplitude=abs(amplitude),
         error=error,
@@ -148,7 +151,7 @@ def glow_score(fields: tuple[Fields, ...]) -> Score[Glow] | None:
 
 def _stands_out(fields: tuple[Fields, ...], z: float, template: np.ndarray) -> bool:
     """Whether a fall is far above the spread of the levels of pixels beside those around them, and explains
-    most of how the levels around them differ."""
+    most of how the levels around them differ; or these are of another form as smooth."""
     sums = pixel_sums(fields, "exposure" if any(f.exposure_s for f in fields) else "additive", DARK)
     if sums is None or not (seen := sums.information > 0).any():
         return False
@@ -158,7 +161,10 @@ def _stands_out(fields: tuple[Fields, ...], z: float, template: np.ndarray) -> b
         return False
     levels, fall = (v - np.median(v) for v in (around, template))
     share = float(np.sum(levels * fall) ** 2 / max(float(np.sum(levels**2) * np.sum(fall**2)), 1e-30))
-    return share > _MOSTLY
+    if share > _MOSTLY:
+        return True
+    form = levels_around(sums, _SIDES[-1])
+    return smooth(form) and grows(fields, form)
 
 
 def _free_form(
@@ -171,7 +177,7 @@ def _free_form(
     rate = template * strength / (longest or 1.0)
     for side in _SIDES:
         left = sums._replace(score=sums.score - sums.information * rate)
-        rate = rate + _sites_alike(levels_around(left, side))
+        rate = rate + _sites_alike(levels_around(left, side, curved=True))
     return above_least(rate)
 
 

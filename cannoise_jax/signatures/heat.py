@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy import special, stats
-from scipy.interpolate import RegularGridInterpolator
+from scipy.interpolate import make_interp_spline
 
 from cannoise_jax.physics.robust import NOISE_OF_MEDIAN, OF_MEDIAN, robust_std
 from cannoise_jax.recordings.packing import SITES
@@ -44,22 +44,24 @@ def less_levels(sums: LineSums, levels: Float[np.ndarray, "h w"]) -> LineSums:
     return sums._replace(score=sums.score - sums.information * levels)
 
 
-def levels_around(sums: LineSums, side: int = _BLOCK) -> Float[np.ndarray, "h w"]:
+def levels_around(sums: LineSums, side: int = _BLOCK, curved: bool = False) -> Float[np.ndarray, "h w"]:
     """The level around every pixel as far as such levels differ by more than noise, DN or DN/s. side: of what
-    is around a pixel, pixels of its site of the mosaic."""
+    is around a pixel, pixels of its site of the mosaic; curved: whether levels bend between these, as those
+    of light do."""
     around = np.zeros(sums.score.shape)
     if min(around.shape) < 4 * side:
         return around
     estimate = sums.score / np.maximum(sums.information, 1e-30)
     for at in SITES:
-        around[at] = _around(estimate[at], sums.information[at], side)
+        around[at] = _around(estimate[at], sums.information[at], side, curved)
     return around
 
 
 def _around(
-    values: Float[np.ndarray, "h w"], information: Float[np.ndarray, "h w"], side: int
+    values: Float[np.ndarray, "h w"], information: Float[np.ndarray, "h w"], side: int, curved: bool
 ) -> Float[np.ndarray, "h w"]:
-    """Medians of blocks, linear between their middles, shrunk by what of them is chance."""
+    """Medians of blocks, natural splines or straight lines between their middles, shrunk by what of them is
+    chance."""
     edges = [np.linspace(0, n, n // side + 1).astype(int) for n in values.shape]
     rows, columns = (np.repeat(np.arange(len(e) - 1), np.diff(e)) for e in edges)
     shape = len(edges[0]) - 1, len(edges[1]) - 1
@@ -77,9 +79,12 @@ def _around(
     share = max(1 - 2 * float(noise.sum()) / max(apart, 1e-30), 0.0)
     if not share:
         return np.zeros(values.shape)
-    middles = [(e[1:] + e[:-1] - 1) / 2 for e in edges]
-    between = RegularGridInterpolator(middles, share * levels, bounds_error=False, fill_value=None)
-    return between(tuple(np.meshgrid(*(np.arange(n) for n in values.shape), indexing="ij")))
+    out = share * levels
+    for axis, (e, n) in enumerate(zip(edges, values.shape, strict=True)):
+        middles = (e[1:] + e[:-1] - 1) / 2
+        order, ends = (3, "natural") if curved else (1, None)
+        out = make_interp_spline(middles, out, order, axis=axis, bc_type=ends)(np.arange(n))
+    return out
 
 
 _LINEAR = 0.05

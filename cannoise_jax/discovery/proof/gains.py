@@ -133,8 +133,9 @@ def jackknife_interval(
     g = gains.size
     half = float(stats.t.isf(0.05, g - 1) * np.sqrt((g - 1) / g * np.sum((gains - gains.mean()) ** 2)))
     low = gain - half
-    if signature.redraws_frames and g > 2:
-        # Of a few frames that lie far apart the scatter of what each gains says nothing, but that any one can
-        # be left out does; and a likelihood ratio exceeds 20 with a chance of 1/20 where there is nothing.
+    if (signature.redraws_frames or banded) and g > 2:
+        # Of a few frames that lie far apart, or a pattern that most of the frame has little of, the scatter
+        # of what each gains says nothing, but that any one can be left out does; and a likelihood ratio
+        # exceeds 20 with a chance of 1/20 where there is nothing.
         low = max(low, float(gains.min()) - float(np.log(20)))
     return low, gain + half

@@ -33,7 +33,8 @@ class NotJudgedWarning(UserWarning):
 
 def _told(name: str, score: Score) -> bool:
     """Whether evidence, p-value and strength are numbers; else it is said, and the others count."""
-    told = bool(np.isfinite([score.evidence, score.log_p, score.amplitude]).all())
+    # log p may be minus infinity: next to nothing is as unlikely.
+    told = bool(np.isfinite([score.evidence, score.amplitude]).all()) and score.log_p <= 0.0
     if not told:
         warnings.warn(
             f"{name}: its score is not a number on these recordings; it is left out",
