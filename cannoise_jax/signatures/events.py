@@ -19,7 +19,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage, stats
+from scipy import ndimage, special, stats
 
 from cannoise_jax.signatures.fields import Fields, each_frame, without_pixels
 from cannoise_jax.signatures.plain import carried, plain
@@ -34,6 +34,11 @@ _QUIET = 1e-3
 _RETURNS = 0.2
 """Share of the spikes of telegraph pixels, seen once, whose pixel shows another in the frames at hand, at
 least: less is a duty of far below one frame in all."""
+_MOST_ONCE = 0.35
+"""Share of pixels that are hit once, up to which few are hit more often; of any number it is 0.37 at most."""
+_TRACKS = 1.5
+"""By which more pixels are hit twice than there would be by single hits that all stand out: tracks cross in
+several pixels, and faint ends of one lie on another."""
 _CELL = np.ones((3, 3), bool)
 """A pixel and its eight neighbours, of which a track goes on in one."""
 
@@ -270,9 +275,11 @@ def _charge(found: list[Spikes], spikes: Heights) -> float:
 
 def _twice(spikes: Spikes) -> np.ndarray:
     """Noisy pixels `[h, w]`, where there are no more of them than are hit twice by chance."""
-    rate = float(spikes.up.mean())
-    chance = spikes.noisy.size * rate**2 * spikes.frames * (spikes.frames - 1) / 2
-    few = spikes.noisy.sum() <= stats.poisson.isf(1e-3, chance)
+    once = float(np.any(spikes.up, 0).mean())
+    # Of hits that fall by chance: a pixel has one with the chance h exp(-h), h a pixel and recording.
+    hits = -float(np.real(special.lambertw(-min(once, _MOST_ONCE))))
+    chance = spikes.noisy.size * -float(np.expm1(np.log1p(hits) - hits))
+    few = spikes.noisy.sum() <= stats.poisson.isf(1e-3, _TRACKS * chance)
     return spikes.noisy if few else np.zeros_like(spikes.noisy)
 
 

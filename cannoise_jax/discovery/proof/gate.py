@@ -1,7 +1,7 @@
 """Gate: what enters the simulator that is handed back, judged on the frames held back by draws.
 
 The findings enter unless they make the draws worse; where they do, those that the held-back frames confirm
-are tried alone, and then one by one. Findings at whose strength these frames are told less well than without
+are tried alone, and then one by one. Findings at whose strength these frames are told no better than without
 go again, unless the draws are then worse. What no name explains enters, as the remainder, where it makes the
 draws better: beside all of these findings, in place of those that nothing describes well, or beside the
 fitted baseline alone. It goes again where the layer that knows no names then finds more that differs than

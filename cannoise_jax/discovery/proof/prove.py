@@ -71,8 +71,8 @@ class Proof(NamedTuple):
 
     @property
     def loses(self) -> bool:
-        """Whether the frames held back are told less well with the finding, at its strength, than without."""
-        return self.gain is not None and self.gain < 0 and not self.confirmed
+        """Whether the frames held back are told no better with the finding, at its strength, than without."""
+        return self.gain is not None and self.gain <= 0 and not self.confirmed
 
 
 class Proofs(NamedTuple):

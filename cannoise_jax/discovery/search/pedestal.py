@@ -7,6 +7,7 @@ sets its black level by shielded pixels moves it with the exposure by laws of it
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -62,12 +63,19 @@ def _off(model: SensorModel, stacked: Stack, iso: float) -> Float[np.ndarray, "3
     what single pixels differ by: of pixels whose difference is ordinary. What the model expects has no noise
     that would tell which of them are few and far."""
     r = stacked.recording
-    expected = stored_dark(model, r.size, Settings(iso, r.exposure_s or 0.0, r.temperature_c))
+    expected = stored_dark(_lasting(model), r.size, Settings(iso, r.exposure_s or 0.0, r.temperature_c))
     apart = stacked.mean - expected
     told = [(apart[at], expected[at][ordinary(apart[at])].mean()) for at in SITES]
     off, own = [robust_mean(values) for values, _ in told], [level for _, level in told]
     spread = [robust_std(values) ** 2 / values.size for values, _ in told]
     return np.array([off, own, spread])
+
+
+def _lasting(model: SensorModel) -> SensorModel:
+    """The model without what single frames have in a few pixels, as hits: the level of most has none."""
+    points = ((f, f.record.point) for f in model.mechanisms)
+    kept = (f for f, at in points if not (at.time == "redrawn" and at.distribution == "sparse"))
+    return dataclasses.replace(model, mechanisms=tuple(kept))
 
 
 def _scatter(darks: list[Stack]) -> Float[np.ndarray, "4"] | None:
