@@ -188,6 +188,16 @@ def test_a_name_that_another_outshines_wherever_it_is_seen_is_not_judged_by_what
     assert not overshadowed([weak, alone], most_at([[weak, alone], [strong]]))
 
 
+def test_a_name_is_not_judged_by_a_little_of_what_another_leaves():
+    """A sixth of one statistic changes with it, and the layer holds nothing else of it."""
+    before, after = np.array([187.0]), np.array([156.0])
+    little = borne(before, after)._replace(weight=share_of(before, after))
+    assert not own_part([little]).tells and own_part([borne(before, after)]).tells
+    assert doubt(None, [little]) is None
+    assert shadowed([little], {}, of_its_own=True) is None
+    assert shadowed([little], {}, of_its_own=False) is not None
+
+
 def test_a_name_in_the_shadow_of_something_unknown_is_none():
     name, other = borne([50, 40, 3], [4, 5, 2]), borne([900, 700, 3], [10, 10, 2])
     unknown = most_of([[other]])

@@ -113,6 +113,25 @@ def test_charge_in_the_unit_of_a_gain_that_is_not_known_better_is_no_level():
         assert bool(added) == moved, times
 
 
+def test_hits_that_a_model_has_lower_no_level():
+    """The mean charge of hits is in the pixels that are hit: the others lie where they did."""
+    rate, charge = 40_000.0, 300.0
+
+    def struck(rng):
+        def change(dn, signal, kind, t):
+            hit = (rng.random(SIZE) < rate * 1e-6 * t) * (kind == "dark")
+            return dn + 1.5 * hit * rng.exponential(charge, SIZE)
+
+        return change
+
+    capture = capture_set(6, struck, kinds="df", size=SIZE)
+    first = prepare_split(capture, split_recordings(capture))
+    model = baseline_model(capture, first).with_mechanism("cosmic_rays", rate=10 * rate, charge_e=charge)
+    drawn = model.expected(np.zeros(SIZE, np.float32), Settings(100.0, 0.1))
+    assert float(np.mean(drawn)) > 200.0 + 10.0  # hits ten times too many are no reason for another level
+    assert not any(f.record == PEDESTAL for f in with_pedestals(model, first).mechanisms)
+
+
 def test_ordinary_pixels_keep_their_level_beside_hot_ones_in_the_model():
     """Few hot pixels, which the model has, lie far above all others: the level is of these."""
     heat = np.zeros(SIZE, np.float32)

@@ -33,6 +33,28 @@ def test_hits_are_not_taken_for_hot_pixels(seed):
     assert {"cosmic_rays", "hot_pixels", "row_noise"} == set(names)
 
 
+def bombarded(rng):
+    """Tracks of three to nine pixels in long darks, so many that pixels are hit in several frames, beside
+    offsets of pixels with a tail."""
+    offsets = 2.5 * (rng.gamma(2.0, 1.0, SIZE) - 2.0)
+
+    def change(dn, signal, kind, t):
+        dn = dn + offsets
+        if t > LONG_S:
+            for y, x in rng.integers(0, [SIZE[0], SIZE[1] - 9], (60, 2)):
+                long = rng.integers(3, 10)
+                dn[y, x : x + long] += rng.exponential(400.0) * np.linspace(1.0, 0.02, long)
+        return dn
+
+    return change
+
+
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_pixels_that_are_hit_twice_are_not_hot(seed):
+    names = [s.named.mechanism for s in found(capture_set(seed, bombarded, kinds="df", frames=12))[1]]
+    assert {"cosmic_rays", "dsnu"} <= set(names) and "hot_pixels" not in names
+
+
 def column_of_heat(rng):
     """A column of which most pixels are hot."""
     heat = np.zeros(SIZE)

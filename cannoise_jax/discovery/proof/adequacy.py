@@ -285,7 +285,7 @@ def doubt(
     """What the simulator with a mechanism leaves of that mechanism's part of the mismatch, see `borne_by`;
     None where nothing significant is left or it is little. free: whether its form is known but roughly."""
     part = own_part(each)
-    if not (part.left or part.more):
+    if not (part.left or part.more) or not part.tells:
         return None
     if speaks_for:
         most = LEFT_OF_SCENES * part.before + _SLACK_OF_SCENES

@@ -38,6 +38,12 @@ _CHANCE = 1e-4
 """Probability that all statistics of the part leave as much by chance."""
 
 
+_TELLS = 0.5
+"""Statistics that a mechanism has to change, each counted by the share that changes, to be judged by them: a
+part of one that is another one's speaks of that. A contrast of sites, which the layer does not hold, changed
+a sixth of what flicker left of the tails of means."""
+
+
 class Borne(NamedTuple):
     """What a mechanism does to the statistics of one family in one place: their mismatch without and with it,
     nats, those that are of its part, those of them that it speaks for whatever others do, and the weight of
@@ -79,7 +85,8 @@ class Alone(NamedTuple):
 class Part(NamedTuple):
     """A mechanism's own part of the mismatch: nats without and with it beyond what chance leaves, of how many
     statistics, those that still differ, whether all together leave more than chance, what share of it is of
-    what stays, and every family by itself."""
+    what stays, and every family by itself. weight: how many statistics it changes altogether, counted by the
+    share of each that changes."""
 
     before: float
     after: float
@@ -88,6 +95,12 @@ class Part(NamedTuple):
     more: bool
     static: float
     alone: tuple[Alone, ...] = ()
+    weight: float = 1.0
+
+    @property
+    def tells(self) -> bool:
+        """Whether it is enough to judge the mechanism by."""
+        return self.weight >= _TELLS
 
 
 def borne_by(
@@ -222,7 +235,7 @@ def own_part(each: list[Borne]) -> Part:
     static = stays / before if before > 0 else 0.0
     return Part(
         max(before - 0.5 * weight, 0.0), max(after - 0.5 * weight, 0.0), number, left, more, static,
-        tuple(_alone(family, each, left) for family in dict.fromkeys(b.judged.family for b in each)),
+        tuple(_alone(family, each, left) for family in dict.fromkeys(b.judged.family for b in each)), weight,
     )  # fmt: skip
 
 

@@ -55,7 +55,7 @@ def shadowed(
     of an unknown finding of its kind. What moves no more than chance does is nothing: the frames held back
     decide."""
     part = own_part(each)
-    if of_its_own and max(part.before, part.after) < SLACK:
+    if of_its_own and (max(part.before, part.after) < SLACK or not part.tells):
         return None
     whole = sum(float(b.change[b.own].sum()) for b in each)
     against = Doubt(part.after / part.before if part.before > 0 else 1.0, (_SHADOW,), instead=True)
