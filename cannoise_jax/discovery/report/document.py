@@ -219,7 +219,8 @@ def finding(diagnosis: Result, step: Step, proof: Proof) -> dict[str, Any]:
     heldout_basis: of the codes' likelihood, of the finding's own statistic, or the change of the composite
       score.
     heldout_gain_nats_per_pixel: value and ci90.
-    confirmed: whether that interval of the finding's own evidence lies above zero.
+    confirmed: whether that interval of the finding's own evidence lies above zero, or does where no part of a
+    recording counts for more than twice the typical one of it.
     sign: what of it the simulator has.
     share: of the whole gain; in_simulator: whether it is in the one that is handed back, see `outcome`.
     sentence: for a reader.

@@ -123,7 +123,8 @@ def _proven(step: Step, proof: Proof) -> str:
         return "; not confirmed: too few frames are held back."
     gains = f"; on {whose} the fit gains {nats(proof.gain, proof.pixels)}"
     if proof.confirmed:
-        return f"{gains}."
+        few = proof.basis == "likelihood" and math.isfinite(proof.low) and proof.low <= 0
+        return f"{gains}, most of it in few places; what the others gain confirms it." if few else f"{gains}."
     if proof.gain <= 0:
         return f"; not confirmed on {whose}."
     if math.isfinite(proof.low):
