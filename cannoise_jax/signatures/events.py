@@ -26,6 +26,7 @@ from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.remembered import remembered
 from cannoise_jax.signatures.score import LEAST_LOG_P, Score
 from cannoise_jax.signatures.signature import CONTRASTS, STATIC, Axes, Signature
+from cannoise_jax.signatures.tracks import tracks
 
 FAR = 5.5
 """Standard deviations of normal noise from which on a frame counts as a spike."""
@@ -249,8 +250,9 @@ def spike_score(
     unit = 1 / volume if volume > 0 else float("inf")
     spikes = heights(fields, found)
     times = hidden(fields, found, spikes)
-    events = seen.tracks if kind == "hits" else seen.up
-    charge = _charge(found, spikes)
+    events, charge = seen.up, _charge(found, spikes)
+    if kind == "hits":
+        events, charge = _of_tracks(fields, found, seen, charge)
     all_of = unit * times if np.isfinite(times) else unit
     where = {"axis": "pixel", "pixels": seen.up}
     return Score(
@@ -271,6 +273,24 @@ def _charge(found: list[Spikes], spikes: Heights) -> float:
     total = float(np.sum(spikes.height / np.maximum(spikes.gain, 1e-9)))
     events = sum(int(ndimage.label(up, _CELL)[1]) for s in found for up in s.up)
     return total / events if events else 0.0
+
+
+def _of_tracks(
+    fields: tuple[Fields, ...], found: list[Spikes], seen: Count, charge: float
+) -> tuple[int, float]:
+    """How many particles have hit, and the mean charge of one; by the spikes that stand alone, see `charge`,
+    where there are few frames."""
+    by_number = {f.number: f for f in fields}
+    told = [
+        tracks(by_number[s.number], s.up.any(0) | _twice(s), limit_of(by_number[s.number]))
+        for s in found
+        if s.up.any()
+    ]
+    known = [t for t in told if t is not None]
+    number = sum(t.number for t in known)
+    if not number or len(known) < len(told):
+        return seen.tracks, charge
+    return number, sum(t.charge_e for t in known) / number
 
 
 def _twice(spikes: Spikes) -> np.ndarray:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from cannoise_jax.discovery.frames.splits import prepare_split, split_recordings
+from cannoise_jax.signatures.events import spike_score
 from tests.discovery.capture import SIZE, capture_set
 from tests.discovery.test_model import found
 
@@ -104,3 +105,29 @@ def test_hits_of_the_frames_before_are_out_of_those_held_back():
         rows.append(next(s for s in held.signatures if s.name == "row_additive_temporal").score(left))
     typical = float(np.median([r.amplitude for r in rows]))
     assert typical == pytest.approx(1.0, abs=3 * max(r.error for r in rows))
+
+
+@pytest.mark.parametrize(("number", "frames"), [(8, 12), (40, 12)])
+def test_rate_and_charge_of_hits_are_those_of_whole_tracks(number, frames):
+    """Ends of tracks are faint, and many pixels are hit in several frames."""
+    fallen = []
+
+    def alter(rng):
+        def change(dn, signal, kind, t):
+            dn = np.array(dn)
+            for y, x in rng.integers(0, [SIZE[0], SIZE[1] - 9], (number if t > LONG_S else 0, 2)):
+                long = rng.integers(3, 10)
+                track = rng.exponential(400.0) * np.linspace(1.0, 0.02, long)
+                dn[y, x : x + long] += track
+                fallen.append(track.sum() / 1.5)
+            return dn
+
+        return change
+
+    capture = capture_set(3, alter, kinds="d", frames=frames)
+    score = spike_score(prepare_split(capture, split_recordings(capture)).fields, kind="hits")
+    assert score is not None
+    charge = score.parameters["charge_e"][0]
+    rate = number / (0.11 * SIZE[0] * SIZE[1] / 1e6)
+    assert score.amplitude * charge == pytest.approx(rate * np.mean(fallen), rel=0.15)
+    assert score.amplitude == pytest.approx(rate, rel=0.25)

@@ -200,7 +200,11 @@ def doubts(
             or one_sided(steps, n)
             or one_of_many(steps, n, full)
             or (two_levels(one) if steps[n].named.signature.axes.time == BLINKING.time else None)
-            or (None if steps[n].named.signature.frozen else forgetful(one, own) or uneven(full, own))
+            or (
+                None
+                if steps[n].named.signature.frozen
+                else forgetful(one, own) or _spread(steps[n], full, own)
+            )
         )
     unknown = [n for n in every if n not in named or out[n] is not None]
     for n in named:
@@ -308,6 +312,11 @@ def doubt(
         return None
     worst = max(against, key=lambda f: f.after)
     return Doubt(share, tuple(lines_of(full, worst.left)[:3]), instead=True)
+
+
+def _spread(step: Step, whole: Compared, each: list[Borne]) -> Doubt | None:
+    """See `uneven`; single events of any form are strong where they are."""
+    return None if step.named.signature.rare and step.named.signature.form_free else uneven(whole, each)
 
 
 def uneven(whole: Compared, each: list[Borne]) -> Doubt | None:
