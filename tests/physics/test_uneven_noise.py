@@ -1,4 +1,4 @@
-"""Whether the noise of a dark differs between parts of the frame: amplifiers do, pixels of two kinds do not."""
+"""Whether the noise of a dark differs between parts of the frame: pixels of two kinds are no amplifiers."""
 
 from __future__ import annotations
 
