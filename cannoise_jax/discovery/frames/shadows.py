@@ -142,7 +142,7 @@ def _at_edges(size: tuple[int, int], scales: tuple[int, ...]) -> dict[int, Float
     out = {}
     for scale, a, b in zip(scales, down, across, strict=True):
         # Both the values and their smoothed ones are products of what is done down and across.
-        power = sum(s * np.outer(x, y) for s, x, y in zip((1, -2, 1), a, b, strict=True))
+        power = np.einsum("s,sy,sx->yx", np.array([1.0, -2.0, 1.0]), a, b)
         out[scale] = np.sqrt(power / power[size[0] // 2, size[1] // 2])
     return out
 
