@@ -21,29 +21,40 @@ from cannoise_jax.vocabulary import RMS, Term
 _JANESICK = "Janesick, Photon Transfer, SPIE Press 2007"
 
 
-def _coefficient(values, context: Context):
-    """Loss per electron: at the white level the share `loss` of the signal is missing."""
-    return values["loss"] * context.gain_dn_per_e / context.span_dn
+def _bend(key, x, values, maps, context: Context):
+    return x * (1 - values["loss"] * _share(x, values["order"], context))
+
+
+def _share(charge, order, context: Context):
+    """Charge over that of the white level, to the power `order`, of the charge's sign."""
+    share = charge * context.gain_dn_per_e / context.span_dn
+    return jnp.sign(share) * jnp.abs(share) ** order
 
 
 def _bend_effect(values, maps, context):
-    c, mu = _coefficient(values, context), context.mean_charge()
-    # Moments of N - c N^2 for Poisson N.
-    variance = mu - 2 * c * (2 * mu**2 + mu) + c**2 * (4 * mu**3 + 6 * mu**2 + mu)
-    return effect_in_dn(context, -c * (mu**2 + mu), variance - mu)
+    mu, p = context.mean_charge(), values["order"]
+    lost = values["loss"] * _share(mu, p, context)
+    each = lost / jnp.maximum(jnp.abs(mu), 1e-6) * jnp.sign(mu)
+    # Moments of a curve of Poisson N to the second derivative, which of order 1 are exact.
+    slope, bend = 1 - (p + 1) * lost, -(p + 1) * p * each
+    variance = mu * (slope**2 + slope * bend + bend**2 / 4 * (1 + 2 * mu))
+    return effect_in_dn(context, -mu * lost + bend * mu / 2, variance - mu)
 
 
 NONLINEARITY = Mechanism(
     id="nonlinearity",
     point=Point("pixel", "charge", "frame", "frozen", "multiply", signal=1.0),
-    parameters=(Parameter("loss", "1", 0.02, -0.49, 0.49, "share of the signal lost at white"),),
-    equation=r"e \to e\,(1 - a\,K e/(W-b))",
+    parameters=(
+        Parameter("loss", "1", 0.02, -0.49, 0.49, "share of the signal lost at white"),
+        Parameter("order", "1", 1.0, 1.0, 4.0, "power of the signal by which that share grows", absent=1.0),
+    ),
+    equation=r"e \to e\,(1 - a\,(K e/(W-b))^p)",
     sentence="Charge lowers the voltage that collects it, so bright signals read a little too low.",
     reference="EMVA 1288 release 4.0, section 6.7 (linearity error); " + _JANESICK,
     needs=("flat", "exposure"),
     confused_with=("saturation", "prnu", "reference_error", "brighter_fatter"),
     amplitude=lambda values, context: values["loss"],
-    sample=lambda key, x, values, maps, context: x * (1 - _coefficient(values, context) * x),
+    sample=_bend,
     effect=_bend_effect,
 )
 
@@ -223,7 +234,7 @@ ENTRIES: tuple[Entry, ...] = (
         signatures=lambda recorded: (
             looks.curvature.curved(recorded, name="curvature", parameter="loss",
                                    covers=(*looks.SCALES, *looks.CURVES)),
-            looks.response.of_flats(recorded, name="curvature_of_flats", parameter="loss",
+            looks.response.of_flats(recorded, name="curvature_of_flats", parameter="loss", order="order",
                                     covers=(looks.BENT,), lifted_by=(looks.BENT,)),
         ),
         estimator=Estimator(light.nonlinearity, least=3e-3, corrects=small_signal, straight=of_straight),

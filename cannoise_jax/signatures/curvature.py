@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 from typing import NamedTuple
 
@@ -148,9 +149,15 @@ def curvature_absorb(fields: tuple[Fields, ...], score: Score[float]) -> tuple[F
 def bent_light(found: Found) -> Addition:
     """The curvature as a point of the grammar, for what has no mechanism."""
     loss = found.score.parameters["curvature"][0]
-    point = Point("photons", "mean", "pixel", "frozen", "multiply", signal=1.0)
+    power = order_of(found.score.parameters)
+    point = Point("photons", "mean", "pixel", "frozen", "multiply", signal=power)
     field = np.full((1, *found.size), -np.sign(loss), np.float32)
     return Addition({amplitude_name(point): abs(loss)}, {"field": jnp.asarray(field)}, point=point)
+
+
+def order_of(parameters: Mapping[str, tuple[float, str, float]]) -> float:
+    """The power of the signal by which the share that is lost grows: 1 unless the score says another."""
+    return parameters.get("order", (1.0, "1", 0.0))[0]
 
 
 def curved(recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...]) -> Signature:

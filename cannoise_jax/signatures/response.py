@@ -1,17 +1,19 @@
 """A response that bends, as flats without a reference tell it.
 
-Let the mean signal be y = x (1 - a x / S) of the linear signal x (DN, S from black to white), as in
-`curvature`. Then the variance of pixels of one signal is
+Let the mean signal be y = x (1 - a (x / S)^p) of the linear signal x (DN, S from black to white), a parabola
+as in `curvature` where p is one. Then the variance of pixels of one signal is
 
-    v = r^2 + K x (1 - 2 a x / S)^2 = r^2 + K x (1 - 4 a y / S),
+    v = r^2 + K x (1 - (p + 1) a (x / S)^p)^2,
 
-so a photon-transfer curve tells a by itself. Charge that repels further charge bends that curve as well, and
-leaves the mean where it is. Under one lamp the mean over the exposure t,
+so a photon-transfer curve tells a and p by itself: of a curve that a parabola misses, p is that which misses
+it least. Charge that repels further charge bends that curve as well, and leaves the mean where it is. Under
+one lamp the mean over the exposure t,
 
-    log(y / t) = const + log(1 - a x / S),
+    log(y / t) = const + log(1 - a (x / S)^p),
 
-falls with the signal in the first case only. How far single flats lie off that line says how steady lamp and
-shutter are, and with it how well the slope is known: Student's t.
+falls with the signal in the first case only. p is not chosen by it, so that it is asked once. How far single
+flats lie off that line says how steady lamp and shutter are, and with it how well the slope is known:
+Student's t.
 """
 
 from __future__ import annotations
@@ -23,17 +25,21 @@ from typing import NamedTuple
 import numpy as np
 from scipy import optimize, stats
 
-from cannoise_jax.physics.transfer.bent import linear_signal
+from cannoise_jax.physics.transfer.bent import signal_of_order
 from cannoise_jax.signatures.added import strength
-from cannoise_jax.signatures.curvature import bent_light
+from cannoise_jax.signatures.curvature import bent_light, order_of
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.plain import plain
 from cannoise_jax.signatures.recorded import GroupBaseline, Level, Recorded
 from cannoise_jax.signatures.score import ONE_PARAMETER, Score, normal_log_p
 from cannoise_jax.signatures.signature import FILES, Axes, Signature, unchanged
 
-_MOST = 0.2
-"""Loss at white, at most: of 1/4 a curve has its top there."""
+_MOST = 0.8
+"""Loss at white, at most, over that of a curve that has its top there: of a parabola 1/4."""
+_ORDERS = (1.0, 1.5, 2.0, 3.0, 4.0)
+"""Powers of the signal by which what is lost may grow."""
+_MISSED = 9.0
+"""Chi-square below that of a parabola, from which on another order is no chance: three standard errors."""
 _FEWEST = 3
 """Exposures of flats from which on a line through them can be missed."""
 _SURE = 0.95
@@ -46,11 +52,12 @@ _STEADY = 1e-3
 
 
 class OfVariance(NamedTuple):
-    """A loss at white, its standard error, and the nats that it explains."""
+    """A loss at white, its standard error, the nats that it explains, and the order of the curve."""
 
     loss: float
     error: float
     gain: float
+    order: float = 1.0
 
 
 class OfMeans(NamedTuple):
@@ -61,19 +68,42 @@ class OfMeans(NamedTuple):
     freedom: int
 
 
-def by_variance(curves: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], span: float) -> OfVariance:
-    """The loss that photon-transfer curves have in common: signal, variance less the read noise's, and its
-    standard error, each curve with a gain of its own."""
+Curves = Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]
+"""Signal, variance less the read noise's, and its standard error, of channels."""
+
+
+def by_variance(curves: Curves, span: float, order: float | None = None) -> OfVariance:
+    """The loss and the order that photon-transfer curves have in common, each with a gain of its own: order 1
+    where no other is better by more than chance. Of others the loss at white, which none of the flats has,
+    is as unsure as the order. order: None where it is not known."""
+    if order is not None:
+        return _of_order(curves, span, order)[0]
+    told = {order: _of_order(curves, span, order) for order in _ORDERS}
+    best = min(_ORDERS, key=lambda order: told[order][1])
+    found, least = told[best]
+    freedom = max(sum(len(y) for y, _, _ in curves) - len(curves) - 2, 1)
+    scale = max(least / freedom, 1.0)
+    if freedom < 2 or told[1.0][1] - least < _MISSED * scale:
+        return told[1.0][0]
+    weights = np.exp(-(np.array([told[order][1] for order in _ORDERS]) - least) / 2 / scale)
+    away = np.array([told[order][0].loss for order in _ORDERS]) - found.loss
+    return found._replace(error=float(np.hypot(found.error, np.sqrt(np.average(away**2, weights=weights)))))
+
+
+def _of_order(curves: Curves, span: float, order: float) -> tuple[OfVariance, float]:
+    """The loss of curves of one order, and the chi-square that it leaves."""
 
     def chi2(loss: float) -> float:
         total = 0.0
         for y, v, e in curves:
-            model = linear_signal(y, loss, span) * (1 - 4 * loss * y / span) / e
+            x = signal_of_order(y, loss, span, order)
+            model = x * (1 - (order + 1) * loss * (x / span) ** order) ** 2 / e
             gain = float(model @ (v / e)) / float(model @ model)
             total += float(np.sum((v / e - gain * model) ** 2))
         return total
 
-    best = optimize.minimize_scalar(chi2, bounds=(-_MOST, _MOST), method="bounded", options={"xatol": 1e-6})
+    most = _MOST * (order / (order + 1)) ** order / (order + 1)
+    best = optimize.minimize_scalar(chi2, bounds=(-most, most), method="bounded", options={"xatol": 1e-6})
     loss, least = float(best.x), float(best.fun)
     freedom = sum(len(y) for y, _, _ in curves) - len(curves) - 1
     step = 1e-3
@@ -81,12 +111,12 @@ def by_variance(curves: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], spa
     # What this curve leaves belongs to no loss, and makes it less sure.
     scale = max(least / max(freedom, 1), 1.0)
     error = float(np.sqrt(2 * scale / max(bend, 1e-12)))
-    return OfVariance(loss, error, 0.5 * max(chi2(0.0) - least, 0.0) / scale)
+    return OfVariance(loss, error, 0.5 * max(chi2(0.0) - least, 0.0) / scale, order), least
 
 
 def by_mean(log_rate: np.ndarray, bend: np.ndarray, group: np.ndarray) -> OfMeans | None:
-    """The loss of flats: log of signal over exposure, log(1 - a x / S) over a of each, and what they share
-    the light and the gain with. None where that cannot be told from the lamp."""
+    """The loss of flats: log of signal over exposure, log(1 - a (x / S)^p) over a of each, and what they
+    share the light and the gain with. None where that cannot be told from the lamp."""
     own = {g: group == g for g in set(group.tolist())}
     own = {g: which for g, which in own.items() if np.count_nonzero(which) >= _FEWEST}
     freedom = sum(map(np.count_nonzero, own.values())) - len(own) - 1
@@ -102,10 +132,15 @@ def by_mean(log_rate: np.ndarray, bend: np.ndarray, group: np.ndarray) -> OfMean
 
 
 def response_score(
-    fields: tuple[Fields, ...], *, baselines: tuple[GroupBaseline, ...], step: float, span: float
+    fields: tuple[Fields, ...],
+    found: Score | None = None,
+    *,
+    baselines: tuple[GroupBaseline, ...],
+    step: float,
+    span: float,
 ) -> Score | None:
     """The photon-transfer curve of a response that bends, where the means of flats over their exposures say
-    so as well. None without flats of three exposures."""
+    so as well. None without flats of three exposures. found: in other frames, which tell its order."""
     seconds = {f.number: f.exposure_s for f in fields if f.kind == "flat" and f.clean is None}
     curves, points = [], []
     for n, b in enumerate(baselines):
@@ -120,8 +155,8 @@ def response_score(
     exposures = {seconds[r] for _, r, _ in points}
     if len(exposures) < _FEWEST:
         return None
-    bent = by_variance(curves, span)
-    light = _rates(points, seconds, bent.loss, span)
+    bent = by_variance(curves, span, None if found is None else order_of(found.parameters))
+    light = _rates(points, seconds, bent, span)
     straight = by_mean(*light)
     if straight is None:
         return None
@@ -129,6 +164,7 @@ def response_score(
     t = straight.loss * np.sign(bent.loss) / straight.error
     gain = bent.gain if alike and t > stats.t.ppf(_SURE, straight.freedom) else 0.0
     loss, error = bent.loss, bent.error
+    more = {"order": (bent.order, "1", 0.0)} if bent.order != 1 else {}
     if gain:
         weights = np.array([bent.error, straight.error]) ** -2.0
         loss, error = np.average((bent.loss, straight.loss), weights=weights), weights.sum() ** -0.5
@@ -136,12 +172,12 @@ def response_score(
     return Score(
         log_p=normal_log_p(np.sqrt(2 * gain)),
         gain=gain,
-        penalty=ONE_PARAMETER,
+        penalty=ONE_PARAMETER * (1 + len(more)),
         amplitude=float(abs(loss)),
         error=float(error),
         shift=bent.error,
         power=1,
-        parameters={"curvature": (float(loss), "1", float(error))},
+        parameters={"curvature": (float(loss), "1", float(error)), **more},
         where={"axis": "signal", "range": [0.0, float(high)]},
     )
 
@@ -157,7 +193,7 @@ def _means(levels: Sequence[Level]) -> list[tuple[int, float]]:
 
 
 def _rates(
-    points: Sequence[tuple[int, int, float]], seconds: dict[int, float | None], loss: float, span: float
+    points: Sequence[tuple[int, int, float]], seconds: dict[int, float | None], bent: OfVariance, span: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """For every flat that shows as many channels as any, these averaged, for they share its lamp: the
     arguments of `by_mean`."""
@@ -165,27 +201,37 @@ def _rates(
     for n, r, s in points:
         signals.setdefault((n, r), []).append(s)
     flats = sorted(k for k, own in signals.items() if len(own) == max(map(len, signals.values())))
-    rate, bend = [], []
+    rate, bend, loss = [], [], bent.loss
     for flat in flats:
         signal = np.array(signals[flat])
         rate.append(float(np.mean(np.log(signal / float(seconds[flat[1]] or 1.0)))))
-        x = linear_signal(signal, loss, span) / span
+        x = (signal_of_order(signal, loss, span, bent.order) / span) ** bent.order
         bend.append(float(np.mean(np.log1p(-loss * x) / loss if abs(loss) > 1e-9 else -x)))
     return np.array(rate), np.array(bend), np.array([n for n, _ in flats])
 
 
 def of_flats(
-    recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]
+    recorded: Recorded,
+    *,
+    name: str,
+    parameter: str,
+    order: str,
+    covers: tuple[str, ...],
+    lifted_by: tuple[str, ...],
 ) -> Signature:
-    """A response that bends, in flats without a reference."""
+    """A response that bends, in flats without a reference. parameter, order: of the mechanism."""
+    score = partial(response_score, baselines=recorded.baselines, step=recorded.step, span=recorded.span)
     return plain(
         name=name,
         axes=Axes("converter", "signal", "frozen", "signal squared", "curve"),
         reads=FILES,
-        score=partial(response_score, baselines=recorded.baselines, step=recorded.step, span=recorded.span),
+        score=score,
+        again=score,
         absorb=unchanged,
         covers=covers,
         lifted_by=lifted_by,
-        simulate=strength(parameter, signed="curvature"),
+        simulate=strength(
+            parameter, signed="curvature", beside=lambda found: {order: order_of(found.score.parameters)}
+        ),
         place=bent_light,
     )

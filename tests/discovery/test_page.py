@@ -11,9 +11,10 @@ import pytest
 
 from cannoise_jax.discovery.compare.words import digits, ends
 from cannoise_jax.discovery.proof.prove import Proof
-from cannoise_jax.discovery.report.page import number, place, sites, verdict
+from cannoise_jax.discovery.report.page import gain_interval, number, place, sites, verdict
 from cannoise_jax.discovery.report.pictures import where_pictures
 from cannoise_jax.discovery.report.wording import sentence
+from cannoise_jax.discovery.search.name import Doubt
 from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.signatures.codes import combed
 from cannoise_jax.signatures.signature import Axes
@@ -61,10 +62,25 @@ def finding(mechanism, value, spread, outcome="FOUND", **more):
     return {"mechanism": mechanism, "outcome": outcome, "amplitude": amplitude, **more}
 
 
-def said_of(entry, proof, axes=ROWS):
+def said_of(entry, proof, axes=ROWS, doubt=None):
     signature = SimpleNamespace(axes=axes, says=None, kind=None, frozen=axes.time == "frozen")
-    step = SimpleNamespace(named=SimpleNamespace(signature=signature, doubt=None), late=False)
+    step = SimpleNamespace(named=SimpleNamespace(signature=signature, doubt=doubt), late=False)
     return sentence(entry, step, proof, VOCABULARY[entry["mechanism"]])
+
+
+def test_the_interval_of_what_lost_its_name_follows_its_strength():
+    entry = finding("unknown", 0.012, 0.0001, "UNKNOWN_STRUCTURE")
+    entry["amplitude"]["unit"] = "1"
+    doubt = Doubt(0.84, ("hot pixels (fixed)",), "green_imbalance")
+    said = said_of(entry, Proof(None, 27_848.0, 2.7e4, 2.8e4, 10**6), doubt=doubt)
+    assert "strength 0.012 (90 %: 0.0119 to 0.0121); nearest to green imbalance, but a simulator" in said
+    assert "hot pixels (fixed); on frames not used to find it the fit gains 27,800 nats." in said
+
+
+def test_an_interval_of_a_gain_has_no_more_digits_than_the_gain():
+    assert gain_interval([0.06714809, 0.06714842]) == gain_interval([0.25, 0.25]) == ""
+    assert gain_interval([0.05806, 0.05941]) == ", 90 %: 0.05806 to 0.05941"
+    assert gain_interval([None, None]) == ", too few frames for an interval"
 
 
 def test_strengths_are_said_with_what_they_measure():

@@ -224,7 +224,9 @@ SAMPLE = {
     "cosmic_rays": cosmic_rays,
     "saturation": lambda rng, x, p, m, c: np.where(x > p["full_well_e"], p["full_well_e"], x),
     "excess_noise": excess_noise,
-    "nonlinearity": lambda rng, x, p, m, c: x - p["loss"] * c["gain"] / (c["white"] - c["black"]) * x**2,
+    "nonlinearity": lambda rng, x, p, m, c: (
+        x * (1 - p["loss"] * (c["gain"] * x / (c["white"] - c["black"])) ** p["order"])
+    ),
     "rts": rts,
     "dsnu": lambda rng, x, p, m, c: x + p["sigma_dn"] * m["field"] / c["gain"],
     "row_noise": lambda rng, x, p, m, c: x + rng.normal(0, p["sigma_dn"], _per(x, 1)),

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cannoise_jax.physics.transfer.bent import linear_signal
+from cannoise_jax.physics.transfer.bent import signal_of_order
+from cannoise_jax.signatures.curvature import order_of
 from cannoise_jax.signatures.recorded import Level
 from cannoise_jax.signatures.response import by_mean, by_variance, of_flats
 from tests.discovery.looks import RECORDED, white
@@ -16,35 +17,78 @@ LIGHT = np.array([0.1, 0.2, 0.4, 0.6, 0.8]) * SPAN
 PIXELS, FRAMES = 40_000, 8
 
 
-def recorded(rng, loss=0.0, lost=0.0, lamp=0.0, light=LIGHT, channels=range(4)):
+def recorded(rng, loss=0.0, lost=0.0, lamp=0.0, light=LIGHT, channels=range(4), order=1.0):
     """Levels of flats under a lamp that scatters by so much between them. loss: of the signal at white;
-    lost: of the variance there, without one of the signal."""
+    lost: of the variance there, without one of the signal; order: by which power of the signal both grow."""
     steady = 1 + lamp * rng.standard_normal(len(light))
     levels = []
     for n, x in enumerate(light * steady):
         for c in channels:
             at = (1.0, 0.6, 0.6, 0.7)[c] * x
-            variance = READ**2 + 1 / 12 + GAIN * at * (1 - 2 * loss * at / SPAN) ** 2 * (1 - lost * at / SPAN)
+            share = (at / SPAN) ** order
+            variance = (
+                READ**2 + 1 / 12 + GAIN * at * (1 - (1 + order) * loss * share) ** 2 * (1 - lost * share)
+            )
             error = variance * np.sqrt(2 / (PIXELS * (FRAMES - 1)))
-            signal = at * (1 - loss * at / SPAN)
+            signal = at * (1 - loss * share)
             seen = variance + error * rng.standard_normal()
             levels.append(Level(n, c, signal, seen, error, PIXELS, full=False, sure=True, alone=0.0, part=0))
     base = dataclasses.replace(RECORDED.baselines[0], read_noise=np.full(4, READ), levels=tuple(levels))
     return RECORDED._replace(baselines=(base,), span=SPAN)
 
 
-def score_of(said, exposures=LIGHT):
+def lit(exposures):
     fields = white(np.random.default_rng(0), kinds=("flat",) * len(exposures), size=(32, 32))
-    fields = tuple(
-        f._replace(exposure_s=t / SPAN, clean=None) for f, t in zip(fields, exposures, strict=True)
-    )
-    return of_flats(said, name="x", parameter="loss", covers=(), lifted_by=()).score(fields)
+    return tuple(f._replace(exposure_s=t / SPAN, clean=None) for f, t in zip(fields, exposures, strict=True))
 
 
+def signature(baselines):
+    said = RECORDED._replace(baselines=tuple(baselines), span=SPAN)
+    return of_flats(said, name="x", parameter="loss", order="order", covers=(), lifted_by=())
+
+
+def loose(levels):
+    """Of so few pixels that a straight line is good enough."""
+    return tuple(p._replace(error=30 * p.error) for p in levels)
+
+
+FIELDS = lit(LIGHT)
+
+
+def score_of(said, exposures=None):
+    return signature(said.baselines).score(FIELDS if exposures is None else lit(exposures))
+
+
+@pytest.mark.parametrize("order", [1.0, 1.5, 3.0])
 @pytest.mark.parametrize("loss", [-0.1, -0.02, 0.02, 0.1])
-def test_the_linear_signal_is_the_inverse_of_the_response(loss):
+def test_the_linear_signal_is_the_inverse_of_the_response(loss, order):
     x = np.linspace(0, SPAN, 9)
-    assert np.allclose(linear_signal(x * (1 - loss * x / SPAN), loss, SPAN), x)
+    assert np.allclose(signal_of_order(x * (1 - loss * (x / SPAN) ** order), loss, SPAN, order), x)
+
+
+@pytest.mark.parametrize("order", [1.5, 2.0, 3.0])
+def test_a_curve_that_is_no_parabola_is_found_and_measured(order):
+    """As a parabola its variance tells more than its means, which spoke against any bend."""
+    rng = np.random.default_rng(7)
+    scores = [score_of(recorded(rng, loss=0.05, lamp=2e-3, order=order)) for _ in range(20)]
+    assert np.mean([s.gain > 50 for s in scores]) > 0.8
+    assert all(order_of(s.parameters) == order for s in scores)
+    off = [(s.parameters["curvature"][0] - 0.05) / s.parameters["curvature"][2] for s in scores]
+    assert abs(np.mean(off)) < 0.8 and np.max(np.abs(off)) < 4
+    # Fewer frames, which do not tell the order, are asked for that which was found.
+    said = recorded(rng, loss=0.05, lamp=2e-3, order=order)
+    few = signature(dataclasses.replace(b, levels=loose(b.levels)) for b in said.baselines)
+    assert order_of(few.score(FIELDS).parameters) == 1
+    assert order_of(few.score_again(FIELDS, scores[0]).parameters) == order
+
+
+@pytest.mark.parametrize("order", [1.0, 2.0, 3.0])
+def test_a_variance_that_bends_by_itself_is_no_curve_of_any_order(order):
+    """The order is that of the variance: the means are asked once, with one chance in twenty."""
+    rng = np.random.default_rng(8)
+    lamps = np.repeat([1e-3, 3e-3, 0.01, 0.03], 30)
+    named = [score_of(recorded(rng, lost=0.15, lamp=lamp, order=order)).gain > 0 for lamp in lamps]
+    assert np.mean(named) < 0.08
 
 
 def test_the_loss_of_a_photon_transfer_curve_is_told_with_its_error():

@@ -13,10 +13,11 @@ from functools import partial
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy import optimize
 
 from cannoise_jax.discovery.frames.contrasts import Stack
 from cannoise_jax.discovery.frames.shadows import places, shadows
-from cannoise_jax.discovery.frames.smooth import relative, smooth_mean, surface_of
+from cannoise_jax.discovery.frames.smooth import above_black, relative, smooth_mean, surface_of
 from cannoise_jax.discovery.frames.threads import each
 from cannoise_jax.physics.robust import robust_std
 from cannoise_jax.recordings.packing import SITES
@@ -27,6 +28,8 @@ _FEW = 0.5
 """Share of the frame beyond which what stands out is no shadow of a few grains."""
 _SHALLOWER = 0.3
 """Depth, over the deepest, down to which shadows are left out in the first round; squared in the next."""
+_PARTS, _FEWEST = 16, 200
+"""Parts of a site by their light, in which pixels scatter alike, and the fewest pixels of one."""
 _SETTLED = 0.002
 """Share of the frame by which places change that bend a surface no more."""
 
@@ -52,10 +55,9 @@ def dusty(flats: Sequence[Stack]) -> Bool[np.ndarray, "h w"] | None:
     """Where the light of the flats, which are of one size, holds shadows; None: nowhere."""
     where = None
     for round_ in range(_ROUNDS if flats else 0):
-        left = each(partial(_left, dust=where), flats)
-        weights = [_weight(x) for x in left]
-        total = np.sum(weights, 0)
-        found = shadows(np.sum([w * x for w, x in zip(weights, left, strict=True)], 0) / total, total)
+        told = each(partial(_left, dust=where), flats)
+        total = np.sum([weight for _, weight in told], 0)
+        found = shadows(np.sum([weight * left for left, weight in told], 0) / total, total)
         if not found.any():
             return where
         if np.mean(places(found)) > _FEW:
@@ -69,13 +71,23 @@ def dusty(flats: Sequence[Stack]) -> Bool[np.ndarray, "h w"] | None:
     return where if where is None else places(found)
 
 
-def _left(flat: Stack, dust: Bool[np.ndarray, "h w"] | None) -> Float[np.ndarray, "h w"]:
-    return relative(flat, surface_of(flat, dust))
-
-
-def _weight(values: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """Inverse variance of the pixels of each site of the mosaic."""
-    out = np.zeros(values.shape)
+def _left(flat: Stack, dust: Bool[np.ndarray, "h w"] | None) -> tuple[np.ndarray, np.ndarray]:
+    """What a flat leaves beside its surface, as a share of its light, and the inverse variance of that."""
+    surface = surface_of(flat, dust)
+    left, weight = relative(flat, surface), np.zeros(surface.shape)
+    light = above_black(flat, surface)
     for at in SITES:
-        out[at] = 1 / max(robust_std(values[at], 0), 1e-9) ** 2
-    return out
+        weight[at] = 1 / _variance(left[at], light[at])
+    return left, weight
+
+
+def _variance(left: Float[np.ndarray, "h w"], light: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """Variance of the pixels of a site as shares of their light: that of their sensitivities, and shot noise,
+    of which the corners that a lens leaves dim have more."""
+    order = np.argsort(light, axis=None)
+    parts = np.array_split(order, max(min(_PARTS, order.size // _FEWEST), 1))
+    scatter = np.maximum([robust_std(left.flat[part], 0) for part in parts], 1e-9) ** 2
+    inverse = np.array([np.mean(1 / light.flat[part]) for part in parts])
+    terms = np.stack([np.ones(len(parts)), inverse], 1) / scatter[:, None]
+    even, shot = optimize.nnls(terms, np.ones(len(parts)))[0]
+    return np.maximum(even + shot / light, 1e-18)

@@ -6,13 +6,16 @@ cleaned or the lens is. Left in the pattern they would be taken for the sensitiv
 The flat divided by its smooth surface is taken apart by an isotropic wavelet transform without decimation
 (starlet: Starck and Murtagh, Astronomical Image and Data Analysis, 2006, section 2.3): B3 splines of 2, 4, 8,
 16 pixels, details that add up to the image. What pixels do each by themselves lies in the finest details,
-which are left out; a texture of the whole frame has the same scatter everywhere. Kept is what stands out:
-patches with a peak of `_PEAK` robust standard deviations of their scale and all around it beyond `_EDGE`,
-unless they reach through a good part of the frame or are as thin as a piece of a line. At those places all
-that is coarse counts as light.
+which are left out; a texture of the whole frame has the same scatter everywhere. Pixels scatter more where a
+lens leaves them dim, and details more at the edges, where pixels count twice as they are mirrored: all is
+looked at in units of the scatter at its place. Kept is what stands out: patches with a peak of `_PEAK` robust
+standard deviations of their scale and all around it beyond `_EDGE`, unless they reach through a good part of
+the frame or are as thin as a piece of a line. At those places all that is coarse counts as light.
 """
 
 from __future__ import annotations
+
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -38,6 +41,8 @@ _SCALES = 6
 """Details of 2 to 32 pixels are looked at, those of which four go into half a side of the frame."""
 _AROUND = 3
 """Pixels by which a shadow goes on beyond where it stands out."""
+_FAR_FROM_EDGES = 256
+"""Twice the pixels from an edge from which on no detail reaches it."""
 _B3 = (1 / 16, 1 / 4, 3 / 8, 1 / 4, 1 / 16)
 """The cubic B-spline at whole places, by which the starlet smooths."""
 
@@ -45,12 +50,21 @@ _B3 = (1 / 16, 1 / 4, 3 / 8, 1 / 4, 1 / 16)
 def shadows(relative: Float[np.ndarray, "h w"], weight: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
     """The part of a flat's `relative` residual from its smooth surface that is spread over many pixels at a
     few places; zeros where nothing stands out. weight: inverse variance of the pixels, of any scale."""
+    total = _smooth(weight, 1)
+    root = np.sqrt(total / np.mean(total))  # in even light it is one
+    return _shadows(relative * root, weight, total) / root
+
+
+def _shadows(
+    relative: Float[np.ndarray, "h w"], weight: Float[np.ndarray, "h w"], total: Float[np.ndarray, "h w"]
+) -> Float[np.ndarray, "h w"]:
+    """Of a residual of one scatter everywhere. total: the smoothed weight."""
     fitted = np.zeros(relative.shape)
     scales = [2**n for n in range(1, _SCALES) if 4 * 2**n < min(relative.shape) / 2]
     if not np.ptp(relative) or not scales:
         return fitted
     limited = _limited(relative)
-    total, seen = _smooth(weight, 1), {}
+    seen, edges = {}, _at_edges(relative.shape, tuple(scales))
     level = _smooth(weight * limited, 1) / total
     for scale in scales:
         seen[scale], level = level, _smooth(level, scale)
@@ -63,7 +77,7 @@ def shadows(relative: Float[np.ndarray, "h w"], weight: Float[np.ndarray, "h w"]
         any_found = False
         for scale in scales:
             smoother = _smooth(coarse, scale)
-            found = _standing_out(coarse - smoother)
+            found = _standing_out((coarse - smoother) / edges[scale]) * edges[scale]
             any_found |= bool(found.any())
             parts[scale] += found
             coarse = smoother
@@ -108,14 +122,45 @@ def _limited(relative: np.ndarray) -> Float[np.ndarray, "h w"]:
 
 def _smooth(values: np.ndarray, apart: int) -> Float[np.ndarray, "h w"]:
     """Means by the B3 spline with its five points `apart` pixels, edges mirrored."""
-    for _ in (0, 1):
-        padded, size = np.pad(values, [(2 * apart, 2 * apart), (0, 0)], mode="symmetric"), len(values)
-        out = _B3[2] * padded[2 * apart : 2 * apart + size]
-        for k in (0, 1):  # the spline is even
-            far = (4 - k) * apart
-            out += _B3[k] * (padded[k * apart : k * apart + size] + padded[far : far + size])
-        values = out.T
-    return values
+    return _down(_down(values, apart).T, apart).T
+
+
+def _down(values: np.ndarray, apart: int) -> Float[np.ndarray, "h w"]:
+    """The same along columns alone."""
+    padded, size = np.pad(values, [(2 * apart, 2 * apart), (0, 0)], mode="symmetric"), len(values)
+    out = _B3[2] * padded[2 * apart : 2 * apart + size]
+    for k in (0, 1):  # the spline is even
+        far = (4 - k) * apart
+        out += _B3[k] * (padded[k * apart : k * apart + size] + padded[far : far + size])
+    return out
+
+
+@lru_cache(maxsize=8)
+def _at_edges(size: tuple[int, int], scales: tuple[int, ...]) -> dict[int, Float[np.ndarray, "h w"]]:
+    """By how much more than in the middle of the frame the details of white noise scatter, by scale."""
+    down, across = (_squares(n, scales) for n in size)
+    out = {}
+    for scale, a, b in zip(scales, down, across, strict=True):
+        # Both the values and their smoothed ones are products of what is done down and across.
+        power = np.einsum("s,sy,sx->yx", np.array([1.0, -2.0, 1.0]), a, b)
+        out[scale] = np.sqrt(power / power[size[0] // 2, size[1] // 2])
+    return out
+
+
+def _squares(count: int, scales: tuple[int, ...]) -> list[Float[np.ndarray, "3 n"]]:
+    """Along so many pixels, for every scale: mean square of white noise smoothed up to it, of that times what
+    it is smoothed to, and of the latter."""
+    few = min(count, _FAR_FROM_EDGES)
+    noise, out = _down(np.eye(few), 1), []
+    for scale in scales:
+        smoother = _down(noise, scale)
+        found = np.stack(
+            [np.sum(x * y, 1) for x, y in ((noise, noise), (noise, smoother), (smoother, smoother))]
+        )
+        middle = np.repeat(found[:, few // 2 : few // 2 + 1], count - few, 1)
+        out.append(np.concatenate([found[:, : few // 2], middle, found[:, few // 2 :]], 1))
+        noise = smoother
+    return out
 
 
 def _standing_out(detail: np.ndarray) -> Float[np.ndarray, "h w"]:

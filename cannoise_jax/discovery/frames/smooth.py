@@ -42,7 +42,7 @@ def smooth_mean(stacked: Stack) -> Float[np.ndarray, "h w"]:
     if stacked.recording.kind != "flat":
         return surface_of(stacked)
     surface, shadow = light_of(stacked)
-    return surface + (shadow * _above_black(stacked, surface)).astype(np.float32)
+    return surface + (shadow * above_black(stacked, surface)).astype(np.float32)
 
 
 def light_of(stacked: Stack) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
@@ -61,7 +61,7 @@ def shades(stacks: Sequence[Stack]) -> dict[int, Float[np.ndarray, "h w"]]:
 
 def relative(stacked: Stack, surface: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
     """What of a flat is not its smooth surface, DN, as a share of its light."""
-    return (without_lines(stacked) - surface) / _above_black(stacked, surface)
+    return (without_lines(stacked) - surface) / above_black(stacked, surface)
 
 
 def surface_of(stacked: Stack, dust: Bool[np.ndarray, "h w"] | None = None) -> Float[np.ndarray, "h w"]:
@@ -105,7 +105,8 @@ def _least_squares(values, kept, rows, columns) -> Float[np.ndarray, "h w"]:
     return rows @ inner @ columns.T
 
 
-def _above_black(stacked: Stack, surface: np.ndarray) -> Float[np.ndarray, "h w"]:
+def above_black(stacked: Stack, surface: np.ndarray) -> Float[np.ndarray, "h w"]:
+    """The light of a surface, DN, no less than one."""
     return np.maximum(surface - stacked.recording.black_map(), 1.0).astype(np.float64)
 
 

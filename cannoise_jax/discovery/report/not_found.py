@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from cannoise_jax.discovery.result import Result
+from cannoise_jax.discovery.search.name import UNKNOWN
+from cannoise_jax.signatures.curve import VARIANCE_CURVE
 from cannoise_jax.signatures.handed import Asked
 from cannoise_jax.signatures.multiplicity import SHARED
-from cannoise_jax.signatures.signature import NO_STRENGTH
+from cannoise_jax.signatures.signature import NO_STRENGTH, Signature
 
 
 def detectable(diagnosis: Result, mechanism: str) -> tuple[float, str] | None:
@@ -29,11 +31,23 @@ def detectable(diagnosis: Result, mechanism: str) -> tuple[float, str] | None:
     return (float(best), diagnosis.terms[mechanism].unit) if np.isfinite(best) else None
 
 
+def asked_of_a_curve(diagnosis: Result) -> tuple[Signature, ...]:
+    """Signatures of how the response bends that flats were asked, where a curve of the variance that counts
+    for them was found and has no name: the means of the flats did not bear one out."""
+    unnamed = (s.named.signature for s in diagnosis.fitted.steps if s.named.mechanism == UNKNOWN)
+    curves = {s.name for s in unnamed if s.axes.law == VARIANCE_CURVE}
+    asked = (s for s in diagnosis.first.signatures if s.name in diagnosis.fitted.first.scores)
+    return tuple(s for s in asked if s.axes.varies_over == "signal" and curves & {*s.lifted_by})
+
+
 def absorbed_by(diagnosis: Result, mechanism: str) -> list[str]:
     """Findings that took away what spoke for a mechanism; none where nothing ever spoke for it. Its
-    statistic stood out before anything was taken out, so that no limit says that it is not there."""
+    statistic stood out before anything was taken out, so that no limit says that it is not there; nor does
+    one where a curve without a name was found that counts for it."""
     first, steps = diagnosis.fitted.first, diagnosis.fitted.steps
     mine = [s for s in diagnosis.first.signatures if s.mechanism == mechanism and s.name in first.scores]
+    if any(s.mechanism == mechanism for s in asked_of_a_curve(diagnosis)):
+        return [UNKNOWN]
     level = float(np.log(diagnosis.alpha))
     if not any(first.log_p.get(s.name, 0.0) < level for s in mine):
         return []

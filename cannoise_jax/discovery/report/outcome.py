@@ -14,6 +14,7 @@ from cannoise_jax.discovery.frames.faults import at_iso
 from cannoise_jax.discovery.proof.gate import Gated
 from cannoise_jax.discovery.proof.judged import CALIBRATED
 from cannoise_jax.discovery.proof.tried import Tried
+from cannoise_jax.discovery.report.not_found import asked_of_a_curve
 from cannoise_jax.discovery.result import Result
 from cannoise_jax.discovery.search.model import adds
 from cannoise_jax.discovery.search.name import UNKNOWN
@@ -31,6 +32,11 @@ _KNOWN = 0.5
 _BENT = (
     "the gain is that of a straight line, and the variance of the flats bends: it may be off by some per "
     "cent: record three or more exposures of one steady lamp, which tell the curve"
+)
+_UNLIKE = (
+    "the gain is that of a straight line, and the variance of the flats bends, which their means over the "
+    "exposure do not bear out as one smooth curve: it may be off by some per cent: either the variance bends "
+    "by itself, or the lamp was not steady enough: record more exposures of one steady lamp"
 )
 _OF_PIXELS = ("readout", "pixel", "redrawn", "add")
 """Where the noise of single pixels enters, and how."""
@@ -161,7 +167,7 @@ def not_measured(diagnosis: Result) -> list[str]:
             out.append(f"the read noise{at} was not measured: record two or more darks of a short exposure")
     laws = {s.named.signature.axes.law for s in diagnosis.fitted.steps if s.named.mechanism == UNKNOWN}
     if VARIANCE_CURVE in laws and any(m.gain_measured for m in known.values()):
-        out.append(_BENT)
+        out.append(_UNLIKE if asked_of_a_curve(diagnosis) else _BENT)
     return out
 
 

@@ -51,6 +51,15 @@ def number(value: Any) -> str:
     return digits(value, 4) if abs(value) < 1e5 else f"{value:.3e}"
 
 
+def gain_interval(ends90: list[float | None]) -> str:
+    """What follows a gain on new frames in the page: its interval. Parts of the frames that gain alike to the
+    last digit shown have no scatter to tell, as of a law of whole recordings, of which each has one value."""
+    if None in ends90:
+        return ", too few frames for an interval"
+    low, high = (number(v) for v in ends90)
+    return "" if low == high else f", 90 %: {low} to {high}"
+
+
 def precise(value: Any) -> str:
     """A number with six decimals, for differences in the fourth."""
     return f"{value:.6f}" if isinstance(value, float) else number(value)
@@ -248,6 +257,7 @@ def page(diagnosis: Result, report: dict[str, Any]) -> str:
         pictures=pictures,
         measures=_MEASURES,
         number=number,
+        gain_interval=gain_interval,
         is_wide=is_wide,
         shadows_of=sentence_of,
         sizes=sizes,

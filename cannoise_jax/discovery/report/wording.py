@@ -63,13 +63,14 @@ def sentence(entry: dict[str, Any], step: Step, proof: Proof, term: Term) -> str
     unnamed = entry["outcome"] == "UNKNOWN_STRUCTURE"
     meaning = "" if unnamed else term.amplitude
     size = _sized(entry["amplitude"]["value"], unit, meaning)
+    after = ""
     if unnamed:
         axes, in_words = step.named.signature.axes, step.named.signature.kind
         kind = in_words(step.named.score) if in_words else axes.law
         start = f"A structure without a name, {placed(axes)} (of the kind: {kind}): strength {size}"
         if step.named.doubt is not None:
             near = step.named.doubt.nearest.replace("_", " ")
-            start += f"; nearest to {near}, but {said_against(step.named.doubt)}"
+            after = f"; nearest to {near}, but {said_against(step.named.doubt)}"
     elif entry["outcome"] == "AMBIGUOUS":
         others = [
             c["mechanism"].replace("_", " ")
@@ -93,7 +94,7 @@ def sentence(entry: dict[str, Any], step: Step, proof: Proof, term: Term) -> str
     moved = entry.get("parameters", {}).get("frame_offset")
     slow = f", and slower than a frame, whose mean moves by {short(moved['value'])} DN" if moved else ""
     within = f" (90 %: {amount((low, high), unit, meaning)})" if is_wide(low, high) else ""
-    return f"{start}{within}{slow}{_proven(step, proof)}"
+    return f"{start}{within}{after}{slow}{_proven(step, proof)}"
 
 
 def _sized(value: float, unit: str | None, meaning: str) -> str:

@@ -3,6 +3,7 @@
 Photon transfer fits a straight line of variance over mean. Where the mean signal is y = x (1 - a x / S) of
 the linear signal x (DN, S from black to white, `nonlinearity`), the variance is K x (1 - 2 a x / S)^2: the
 slope of the line is smaller than K, the gain of small signals, which a camera model with that mechanism has.
+Curves of a higher order p are y = x (1 - a (x / S)^p), whose slope is 1 - (p + 1) a (x / S)^p.
 Where pixels differ in sensitivity by a share p, y differs by the share p (1 - 2 a x / S) / (1 - a x / S).
 """
 
@@ -20,6 +21,13 @@ from cannoise_jax.physics.transfer.estimators.pick import brightest_flat
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.rails import LINEAR
 
+_STEPS = 20
+"""Of a root of a curve: next to its top, where each halves what is left, a millionth is."""
+_EXACT = 1e-10
+"""Share of the range by which a step ends it."""
+_FLAT = 1e-3
+"""Slope of a curve that counts as its top."""
+
 
 def slope_at(
     signal: Float[np.ndarray, "n"] | float, loss: float, span: Float[np.ndarray, "n"] | float
@@ -31,6 +39,24 @@ def slope_at(
 def linear_signal(signal: Float[np.ndarray, "n"], loss: float, span: float) -> Float[np.ndarray, "n"]:
     """The signal of a straight response, DN, for the recorded one: x of y = x (1 - a x / S)."""
     return 2 * signal / (1 + slope_at(signal, loss, span))
+
+
+def signal_of_order(
+    signal: Float[np.ndarray, "n"], loss: float, span: float, order: float
+) -> Float[np.ndarray, "n"]:
+    """The signal of a straight response, DN, for the recorded one of a curve of an order of 1 or more, on the
+    side of its top on which small signals are."""
+    if order == 1:
+        return linear_signal(signal, loss, span)
+    share = np.asarray(signal, np.float64) / span
+    linear = share
+    for _ in range(_STEPS):  # Newton's, which nears the root from one side, for the curve bends one way only
+        lost = loss * linear**order
+        away = (linear * (1 - lost) - share) / np.maximum(1 - (order + 1) * lost, _FLAT)
+        linear = linear - away
+        if np.max(np.abs(away), initial=0.0) < _EXACT:
+            break
+    return linear * span
 
 
 def of_straight(

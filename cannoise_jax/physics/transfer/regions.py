@@ -20,8 +20,8 @@ _UNEVEN = 1.5
 two amplifiers of one frame by twice to four times."""
 _SIGMAS = 6.0
 """Standard errors by which they have to differ beyond that."""
-_OF_MEDIAN = 0.6
-"""What the median of a mean square is worth of its mean: 2 / pi, 0.64, of many normal values."""
+_CLIPPED = 0.05
+"""Share of the variances of a part, on either side, that count as no further out."""
 _BESIDE = 8
 """Columns, or rows, of one colour on either side of the middle that tell a step there."""
 _DEGREE = 4
@@ -38,7 +38,8 @@ light is smooth, and columns differ all over the frame."""
 
 def uneven_noise(dark: FrameStatistics) -> str:
     """Between which values the temporal noise of the parts of a repeated dark lies; empty where it is one.
-    Parts that are dead do not count."""
+    Parts that are dead do not count. Of variances with two modes, as of pixels that jumped in some frames and
+    those that did not, a median may be of either: means of parts have to differ as much."""
     if dark.variance is None:
         return ""
     variance = dark.variance if dark.dead is None else np.where(dark.dead, np.nan, dark.variance)
@@ -47,15 +48,27 @@ def uneven_noise(dark: FrameStatistics) -> str:
     parts = [alive for part in parts if (alive := part[np.isfinite(part)]).size >= _FEWEST]
     if len(parts) < 2:
         return ""
-    medians = np.array([np.median(part) for part in parts])
-    room = _SIGMAS * 2 / np.sqrt(_OF_MEDIAN * min(part.size for part in parts) * dark.dof)
-    if medians.max() <= _UNEVEN * np.exp(room) * max(medians.min(), dark.code_step**2 / 12):
+    below, medians, above = np.array([_median(part) for part in parts]).T
+    least = dark.code_step**2 / 12
+    if below.max() <= _UNEVEN * max(above.min(), least):
+        return ""
+    means = [np.clip(part, *np.quantile(part, (_CLIPPED, 1 - _CLIPPED))).mean() for part in parts]
+    if max(means) <= _UNEVEN * max(min(means), least):
         return ""
     low, high = np.sqrt(np.array([medians.min(), medians.max()]) / median_quotient(dark.dof))
     return (
         f"the noise of the dark differs between parts of the frame ({low:.3g} to {high:.3g} DN), as of "
         "amplifiers of their own: calibrate each part by itself (where it is a glow: record shorter darks)"
     )
+
+
+def _median(values: Float[np.ndarray, "n"]) -> tuple[float, float, float]:
+    """The median with ends that it lies between whatever the law of the values: the number of them below it
+    is binomial. Two such intervals are apart by `_SIGMAS` standard errors of a difference."""
+    ordered, n = np.sort(values), values.size
+    away = int(np.ceil(_SIGMAS / np.sqrt(2) * np.sqrt(n) / 2))
+    low, high = max(n // 2 - away, 0), min(n // 2 + away, n - 1)
+    return float(ordered[low]), float(np.median(values)), float(ordered[high])
 
 
 def drifting_halves(dark: FrameStatistics | None) -> str:
