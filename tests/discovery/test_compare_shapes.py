@@ -5,9 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery.compare.shapes import LIKELY, Pattern, missing, smooth
+from cannoise_jax.discovery.compare.patterns import Mean, Pattern, mean_of, missing
+from cannoise_jax.discovery.compare.shapes import LIKELY, smooth
 
 SIZE = (160, 192)
+
+
+def pattern_of(recorded, simulated, noise, simulated_noise):
+    """Means of which the white noise is known."""
+
+    def mean(values, variance):
+        return Mean(values, np.full(SIZE, variance), np.full(SIZE, variance), 1e6)
+
+    return Pattern(mean(recorded, noise), mean(simulated, simulated_noise))
 
 
 @pytest.mark.parametrize("alike", [0.0, 0.7, 1.0])
@@ -20,7 +30,7 @@ def test_the_pattern_has_the_recorded_power_whatever_the_simulator_had(alike, no
     drawn = alike * true + np.sqrt(1 - alike**2) * other
     recorded = true + np.sqrt(noise) * rng.standard_normal(SIZE)
     simulated = drawn + np.sqrt(noise / 2) * rng.standard_normal(SIZE)
-    together = drawn + missing(Pattern(recorded, simulated, noise, noise / 2), 1)
+    together = drawn + missing(pattern_of(recorded, simulated, noise, noise / 2), 1)
     assert np.var(together) == pytest.approx(1.0, abs=0.1)
     nearer = np.corrcoef(together.ravel(), true.ravel())[0, 1]
     assert nearer > max(alike, 1 / (1 + 1.5 * noise)) - 0.05
@@ -30,7 +40,7 @@ def test_a_pattern_that_the_simulator_lacks_is_added_whole():
     rng = np.random.default_rng(5)
     true = rng.standard_normal(SIZE)
     recorded = true + rng.standard_normal(SIZE)
-    added = missing(Pattern(recorded, np.zeros(SIZE), 1.0, 0.0), 1)
+    added = missing(pattern_of(recorded, np.zeros(SIZE), 1.0, 0.0), 1)
     assert np.var(added) == pytest.approx(1.0, abs=0.05)
     assert np.corrcoef(added.ravel(), true.ravel())[0, 1] == pytest.approx(0.5, abs=0.03)
 
@@ -39,7 +49,7 @@ def test_pixels_that_stand_out_are_kept_whatever_the_level():
     rng = np.random.default_rng(11)
     hot = rng.random(SIZE) < 0.01
     recorded = 30 + rng.standard_normal(SIZE) + 20.0 * hot
-    added = missing(Pattern(recorded, np.zeros(SIZE), 1.0, 0.0), 1)
+    added = missing(pattern_of(recorded, np.zeros(SIZE), 1.0, 0.0), 1)
     assert np.allclose(added[hot], recorded[hot])
     assert np.std(added[~hot]) < 0.2
 
@@ -50,7 +60,7 @@ def test_what_the_simulator_has_too_much_of_is_taken_out(alike):
     true, other = rng.standard_normal((2, *SIZE))
     drawn = 1.5 * (alike * true + np.sqrt(1 - alike**2) * other)
     recorded, simulated = (p + 0.5 * rng.standard_normal(SIZE) for p in (true, drawn))
-    together = drawn + missing(Pattern(recorded, simulated, 0.25, 0.25), 1)
+    together = drawn + missing(pattern_of(recorded, simulated, 0.25, 0.25), 1)
     # Noise of both means comes through: with 2.25 of another pattern, some 0.2 of it.
     assert np.var(together) == pytest.approx(1.0, abs=0.2)
     assert np.corrcoef(together.ravel(), true.ravel())[0, 1] > 0.8
