@@ -80,7 +80,7 @@ def _sample(key, x, values, maps, context: Context):
 
 def _baseline(noise: Noise, values, maps, context: Context) -> Noise:
     """Less noise of the baseline where the spectrum takes it over: read noise in the dark, all of it in
-    light. Of the read noise that is a share of the baseline's own, whatever lines or pixels have of theirs."""
+    light. Of read noise it is a share of the baseline's own, whatever lines or pixels have of theirs."""
     lit = [k for k in range(KNOTS) if maps[f"level{k}"].size > 1]
     dark = maps["offset"].size > 1
     shares = ([1.0] if dark else []) + [maps[f"left{k}"] for k in lit]

@@ -7,6 +7,7 @@ import pytest
 
 from cannoise_jax.discovery.compare.patterns import Mean, Pattern, mean_of, missing
 from cannoise_jax.discovery.compare.shapes import LIKELY, smooth
+from cannoise_jax.signatures.fields import helmert
 
 SIZE = (160, 192)
 
@@ -95,3 +96,78 @@ def test_white_noise_stays_white():
     out = smooth(power - 0.5, 9, 0.5, LIKELY)
     assert np.std(out[1:, 1:]) < 0.05
     assert np.mean(out) == pytest.approx(0.5, abs=0.01)
+
+
+def frames_of(rng, fixed, frames, colour=None, columns=None, waves=0.0):
+    """Frames of a fixed pattern under noise that is redrawn: by its spectrum, with columns noisier than
+    others, and a wave of another phase in each."""
+    out = rng.standard_normal((frames, *SIZE))
+    if columns is not None:
+        out *= columns
+    if colour is not None:
+        out = np.fft.ifft2(np.fft.fft2(out) * np.sqrt(colour)).real
+    y, x = np.mgrid[: SIZE[0], : SIZE[1]]
+    phase = 2 * np.pi * rng.random((frames, 1, 1))
+    return fixed + out + waves * np.cos(2 * np.pi * (0.0713 * y + 0.311 * x) + phase)
+
+
+def pattern_beside_nothing(frames):
+    values = mean_of(
+        frames.mean(0), np.tensordot(helmert(len(frames)), frames, 1), np.ones(SIZE, bool), len(frames), 1.0
+    )
+    return Pattern(values, Mean(np.zeros(SIZE), np.zeros(SIZE), np.zeros(SIZE), 1e6))
+
+
+def hump():
+    """Waves of some twelve pixels along rows: half of the variance."""
+    away = np.abs(np.abs(np.fft.fftfreq(SIZE[1])) - 0.083)
+    shape = np.exp(-((away / 0.012) ** 2) / 2)
+    return np.broadcast_to(0.5 + 0.5 * shape / shape.mean(), SIZE)
+
+
+def speckle():
+    """Grains of 1.6 pixels."""
+    y, x = np.meshgrid(np.fft.fftfreq(SIZE[0]), np.fft.fftfreq(SIZE[1]), indexing="ij")
+    shape = np.exp(-((2 * np.pi * 1.6) ** 2) * (x**2 + y**2))
+    return 0.3 + 0.7 * shape / shape.mean()
+
+
+NOISY = np.where(np.arange(SIZE[1]) % 14 == 5, 2.5, 1.0)
+REDRAWN = {
+    "waves that wander": {"colour": hump()},
+    "speckle": {"colour": speckle()},
+    "columns with a noise of their own": {"columns": NOISY},
+    "one wave": {"waves": 0.7},
+}
+
+
+@pytest.mark.parametrize("noise", REDRAWN)
+def test_noise_that_is_redrawn_leaves_no_fixed_pattern(noise):
+    frames = frames_of(np.random.default_rng(21), np.zeros(SIZE), 9, **REDRAWN[noise])
+    added = missing(pattern_beside_nothing(frames), 1)
+    # Chance lines and frequencies of the mean, of which the noise is a third.
+    assert np.std(added) < 0.08
+
+
+@pytest.mark.parametrize("noise", REDRAWN)
+@pytest.mark.parametrize("kind", ["pixels", "rows", "hot", "one wave"])
+def test_a_fixed_pattern_keeps_its_strength_under_noise_that_is_redrawn(noise, kind):
+    rng = np.random.default_rng(22)
+    y, x = np.mgrid[: SIZE[0], : SIZE[1]]
+    true = {
+        "pixels": 0.4 * rng.standard_normal(SIZE),
+        "rows": 0.4 * rng.standard_normal((SIZE[0], 1)) * np.ones(SIZE),
+        "hot": 30.0 * (rng.random(SIZE) < 0.002),
+        "one wave": 0.3 * np.cos(2 * np.pi * (20 * x / SIZE[1] + 11 * y / SIZE[0])),
+    }[kind]
+    added = missing(pattern_beside_nothing(frames_of(rng, true, 9, **REDRAWN[noise])), 1)
+    assert np.std(added) == pytest.approx(np.std(true), rel=0.1)
+
+
+def test_one_wave_is_counted_once():
+    """Not in its broad shape, its row and its column besides."""
+    rng = np.random.default_rng(23)
+    frames = frames_of(rng, np.zeros(SIZE), 12, waves=2.0)
+    power = np.mean(np.abs(np.fft.fft2(frames)) ** 2, 0) / np.prod(SIZE)
+    out = smooth(power - 0.9, 12, 0.9, LIKELY)
+    assert np.mean(out) == pytest.approx(np.mean(power - 0.9), abs=0.05)

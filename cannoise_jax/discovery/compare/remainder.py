@@ -52,7 +52,7 @@ def with_remainder(
     if not any(p.contrasts for part in whole for p in part):
         return model
     fixed = _fixed(whole[0]) if whole[0] else None
-    less = _shares(capture, *whole, fixed, _quiet(model, capture.recordings[0].size))
+    less = _shares(capture, *whole, fixed, quiet(model, capture.recordings[0].size))
     # What is missing is measured beside what the baseline has left. What stays is measured beside the whole
     # of it: the noise in the mean of a single frame is what the simulator says. So is what single pixels have
     # beyond the others: what is taken from all alike is given back to all alike.
@@ -73,7 +73,7 @@ def _added(model: SensorModel, maps: dict[str, np.ndarray]) -> SensorModel:
     return model.with_mechanism(RESIDUAL, maps=full, again=True)
 
 
-def _quiet(model: SensorModel, size: tuple[int, int]) -> float:
+def quiet(model: SensorModel, size: tuple[int, int]) -> float:
     """Variance of the read noise of the quietest pixels over the baseline's, where lines or pixels have a
     noise of their own."""
     context = context_of(model, jnp.zeros((1, *size)), Settings(iso=float(np.asarray(model.iso)[0])))
@@ -83,16 +83,16 @@ def _quiet(model: SensorModel, size: tuple[int, int]) -> float:
 
 
 def _shares(
-    capture: CaptureSet, darks: list[Part], lit: list[Part], fixed: _Fixed | None, quiet: float
+    capture: CaptureSet, darks: list[Part], lit: list[Part], fixed: _Fixed | None, least: float
 ) -> dict[str, np.ndarray]:
     """Maps of `mechanisms.residual` that take away as much of the baseline's noise as the frames that look
-    have too little of at any spatial frequency, and nothing else. fixed: of the darks; quiet: see `_quiet`.
+    have too little of at any spatial frequency, and nothing else. fixed: of the darks; least: `quiet`.
     """
     maps = _empty(capture)
     if fixed is not None:
         zero = np.zeros(darks[0].signal.shape)
         maps.update(dict.fromkeys(("offset", "rate", "spread", "growth", "spectrum"), zero))
-        maps["keep"] = np.full((1, 1), _left(_still(darks, fixed.rate)[1], True, quiet))
+        maps["keep"] = np.full((1, 1), _left(_still(darks, fixed.rate)[1], True, least))
     for k, p in enumerate(lit):
         zero = np.zeros(p.signal.shape)
         left = np.full((1, 1), _left([p], False))
@@ -102,14 +102,14 @@ def _shares(
     return maps
 
 
-def _left(parts: list[Part], dark: bool, quiet: float = 1.0) -> float:
+def _left(parts: list[Part], dark: bool, least: float = 1.0) -> float:
     """Share of the variance of the baseline's noise (of darks its read noise) that may stay: quiet pixels
-    have less than the others. quiet: what the quietest have of it, and may lose."""
+    have less than the others. least: what the quietest have of it, and may lose."""
     weight = [p.contrasts for p in parts]
     own = float(np.average([p.read if dark else p.own for p in parts], weights=weight))
     missing = (_SPARE + 1 - _pixels(parts).lowest) * _level(parts)
     missing -= float(np.quantile(_spectrum(parts, False), _LOWEST))
-    most = (1 - _LEAST_LEFT) * min(quiet, 1.0)
+    most = (1 - _LEAST_LEFT) * min(least, 1.0)
     return float(np.clip(1 - missing / max(own, 1e-12), 1 - most, 1.0))
 
 

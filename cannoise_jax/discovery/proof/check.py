@@ -38,8 +38,8 @@ Of living cells, which move, a remainder took 0.36 off the two-sample area, and 
 
 _TIMES, _MUCH = 3.0, 0.1
 """By how much a kind of difference may grow with the remainder, as long as it stays below such a share of all
-that differed without it. Of a camera whose columns had noise of their own that was lost, one kind became 99 %
-of all that was left; what remainders add by chance is below 0.02."""
+that differed without it. Where columns lost a noise of their own to it, a kind that was nothing before became
+0.15 of that, and 0.99 of what was left."""
 
 
 class Checked(NamedTuple):
