@@ -33,7 +33,7 @@ from cannoise_jax.discovery.frames.simulate import Draw
 from cannoise_jax.discovery.frames.smooth import shades
 from cannoise_jax.discovery.frames.splits import Splits, read_once, splits_of
 from cannoise_jax.discovery.proof.adequacy import described, doubts, withdrawn
-from cannoise_jax.discovery.proof.check import Checked, check, source_of
+from cannoise_jax.discovery.proof.check import Checked, check, compared_on, source_of, spoils
 from cannoise_jax.discovery.proof.excess import Excess, excess
 from cannoise_jax.discovery.proof.gate import Gated, gate, lesser, remaining, sure_of
 from cannoise_jax.discovery.proof.in_full import in_full
@@ -298,6 +298,7 @@ def checked(
     function beside which nothing was found, of the function), and the simulator that is handed back. Where
     more differs than before, the first of what is `instead` is by which less does; where too few frames were
     held back for the gate, all that was found goes. light: `shades`."""
+    layer = alpha * SHARED.layer
     before = shaded(source_of(sides.model, sides.plain, judged.label, key), light)
     model = sides.exported if gated is None else gated.model
 
@@ -307,11 +308,19 @@ def checked(
 
         given = model is sides.model or (sides.model is None and sides.extended is None)
         own = None if given else after
-        found = check(judged.capture, frames, before, own, alpha * SHARED.layer, tell)
+        found = check(judged.capture, frames, before, own, layer, tell)
         return found._replace(surely=gated is not None and gated.surely)
 
     try:
         found = against(model, gated)
+        if gated is not None and gated.remainder:
+            spare = gated.without_remainder
+            given = spare.model is sides.model
+            source = shaded(source_of(spare.model, sides.plain, AFTER, key), light)
+            alone = found.before if given else compared_on(judged.capture, frames, source, layer, tell)
+            if spoils(found.after, alone):
+                gated, model = spare, spare.model
+                found = found.unchanged if given else found.in_place(alone, spare.surely)
         if not found.worse:
             return gated, found, model
         if gated is None and sides.model is not None:

@@ -20,7 +20,8 @@ DARK = ("offset", "rate", "spread", "growth", "spectrum", "keep")
 spread: DN^2 of noise that single pixels have beyond the others.
 growth: DN^2/s that every pixel gains by the exposure, shot noise of its charge included.
 spectrum: power of the noise that pixels share, DN^2 by spatial frequency, its mean the variance that it adds.
-keep: share of the variance of the baseline's read noise that stays beside it."""
+keep: share of the variance of the baseline's read noise that stays beside it; the rest of it is taken from
+every pixel alike."""
 LIT = ("level", "fixed", "alone", "power", "unit", "left")
 """At one signal:
 level: the signal of every pixel, DN; fixed: what stays, DN.
@@ -31,6 +32,9 @@ left: share of the variance of the baseline that stays beside it."""
 MAPS = (*DARK, *(f"{name}{k}" for k in range(KNOTS) for name in LIT), "pixels")
 """Maps that are one pixel large say nothing (shares: they are one number). pixels: of the frame that the
 spectra are of: those of a part of it are others."""
+
+_LEAST = 0.02
+"""Share of the variance of a pixel's read noise that always stays: quiet ones have less than is taken."""
 
 
 def _nothing(key, values, context: Context):
@@ -76,7 +80,7 @@ def _sample(key, x, values, maps, context: Context):
 
 def _baseline(noise: Noise, values, maps, context: Context) -> Noise:
     """Less noise of the baseline where the spectrum takes it over: read noise in the dark, all of it in
-    light."""
+    light. Of read noise it is a share of the baseline's own, whatever lines or pixels have of theirs."""
     lit = [k for k in range(KNOTS) if maps[f"level{k}"].size > 1]
     dark = maps["offset"].size > 1
     shares = ([1.0] if dark else []) + [maps[f"left{k}"] for k in lit]
@@ -91,9 +95,13 @@ def _baseline(noise: Noise, values, maps, context: Context) -> Noise:
         else 1.0
     )
     left, read = (1 + values["weight"] * (v - 1) for v in (left, read))
-    return noise._replace(
-        gain_dn_per_e=noise.gain_dn_per_e * left, read_noise_e=noise.read_noise_e * jnp.sqrt(read) / left
-    )
+    # What is taken is the same everywhere, as what is given back is: pixels that are noisier stay so.
+    own = (noise.gain_dn_per_e * noise.read_noise_e) ** 2
+    plain = (context.gain_dn_per_e * context.read_noise_e) ** 2
+    plain = plain * jnp.minimum(jnp.mean(own) / jnp.maximum(jnp.mean(plain), 1e-30), 1)
+    rest = jnp.maximum(own - (1 - read) * plain, _LEAST * own)
+    gain = noise.gain_dn_per_e * left
+    return noise._replace(gain_dn_per_e=gain, read_noise_e=jnp.sqrt(rest) / gain)
 
 
 def _hats(signal, levels, dark: bool) -> list:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from cannoise_jax.discovery.compare import better, compare
-from cannoise_jax.discovery.compare.remainder import with_remainder
+from cannoise_jax.discovery.compare.remainder import quiet, with_remainder
 from cannoise_jax.discovery.frames.battery import prepare
 from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.discovery.search.model import baseline_model
+from cannoise_jax.mechanisms.residual import MAPS, RESIDUAL
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.sensor_json import write_sensor
 from tests.discovery.capture import capture_set
@@ -102,3 +104,55 @@ def test_it_is_kept_in_a_file_and_belongs_to_one_unit(models, tmp_path):
     assert (one == two).all()
     other = np.asarray(mended.with_unit(jax.random.key(8)).sample(KEY, clean, settings))
     assert (other == np.asarray(plain.sample(KEY, clean, settings))).all()
+
+
+COLUMNS = np.where(np.arange(128) % 11 == 4, 2.2, 0.9).astype(np.float32)
+
+
+def test_columns_keep_a_noise_of_their_own_where_the_spectrum_takes_read_noise_over():
+    size, read = (96, 128), 4.0
+    plain = SensorModel.poisson_gaussian(1.0, read, 200.0, 16383.0, "RGGB").with_mechanism(
+        "column_read_noise_map", spread=0.4, maps={"factor": COLUMNS[None, None]}
+    )
+    taken = 0.7
+    maps = {name: np.zeros(size) for name in ("offset", "rate", "spread", "growth")}
+    maps["spectrum"] = np.full(size, taken * read**2)
+    maps["keep"], maps["pixels"] = np.full((1, 1), 1 - taken), np.full((1, 1), 96.0 * 128.0)
+    rest = {name: np.full((1, 1), float(name.startswith("left"))) for name in MAPS if name not in maps}
+    mended = plain.with_mechanism(RESIDUAL, maps={n: jnp.asarray(v) for n, v in (maps | rest).items()})
+    clean, settings = np.zeros(size, np.float32), Settings(frames=24)
+    one, two = (
+        np.sqrt(np.var(np.asarray(m.sample(KEY, clean, settings), float), 0, ddof=1).mean(0))
+        for m in (plain, mended)
+    )
+    assert np.allclose(two, one, rtol=0.1)
+    assert np.mean(two / one) == pytest.approx(1.0, abs=0.01)
+    assert quiet(plain, size) == pytest.approx(0.81, rel=1e-3)
+
+
+def noisy_columns(rng):
+    """Columns with a noise of their own, and slanting waves that no name describes."""
+    y, x = np.mgrid[:96, :128]
+
+    def change(dn, *_):
+        wave = 2.5 * np.cos(2 * np.pi * (0.0713 * y + 0.311 * x + rng.random()))
+        return dn + 9.0 * (COLUMNS > 1) * rng.standard_normal(dn.shape) + wave
+
+    return change
+
+
+def test_columns_of_a_finding_are_as_noisy_with_the_remainder_as_without():
+    capture = capture_set(54, noisy_columns, kinds="d")
+    factor = np.where(COLUMNS > 1, np.sqrt(4.5**2 + 9.0**2) / 4.5, 1.0).astype(np.float32)
+    plain = SensorModel.poisson_gaussian(1.5, 3.0, 200.0, 16383.0, "RGGB").with_mechanism(
+        "column_read_noise_map", spread=0.4, maps={"factor": factor[None, None]}
+    )
+    mended = with_remainder(capture, plain, KEY)
+    r = capture.recordings[0]
+    # A wave of random phase is of another strength in every frame.
+    settings = Settings(frames=256, exposure_s=float(r.exposure_s or 0.0))
+    drawn = np.asarray(mended.sample(KEY, np.zeros(r.size, np.float32), settings), float)
+    of_columns = np.sqrt(np.var(drawn, 0, ddof=1).mean(0))
+    recorded = np.sqrt(np.var(np.asarray(r.frames, float), 0, ddof=1).mean(0))
+    for some in (COLUMNS > 1, COLUMNS < 1):
+        assert np.mean(of_columns[some]) == pytest.approx(np.mean(recorded[some]), rel=0.04)

@@ -13,7 +13,7 @@ from cannoise_jax.discovery.compare.sources import open_source
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.frames.splits import split_recordings
 from cannoise_jax.discovery.proof import gate as gate_module
-from cannoise_jax.discovery.proof.check import Checked, check, compared_on, frames_for
+from cannoise_jax.discovery.proof.check import Checked, check, compared_on, frames_for, spoils
 from cannoise_jax.discovery.proof.gate import lesser
 from cannoise_jax.discovery.proof.prove import Proof
 from cannoise_jax.discovery.proof.tried import Gain, Tried
@@ -281,6 +281,26 @@ def test_what_differs_where_nothing_did_is_worse(before, after, surely, worse):
         SimpleNamespace(differences=[SimpleNamespace(nats=n) for n in each]) for each in (before, after)
     )
     assert Checked(one, two, None, True, surely).worse == worse  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("without", "with_rest", "spoilt"),
+    [
+        ({"blocks": 100}, {"blocks": 2}, False),
+        ({"blocks": 100}, {"blocks": 2, "lines": 8}, False),
+        ({"blocks": 100}, {"blocks": 2, "lines": 15}, True),  # what was right is so no longer
+        ({"blocks": 80, "lines": 20}, {"blocks": 0, "lines": 40}, False),
+        ({"blocks": 80, "lines": 20}, {"blocks": 80, "lines": 40}, True),  # more differs in all
+        ({}, {}, False),
+        ({}, {"lines": 5}, True),
+    ],
+)
+def test_a_remainder_may_not_make_much_of_a_difference_that_was_small(without, with_rest, spoilt):
+    one, two = (
+        SimpleNamespace(differences=[SimpleNamespace(what=w, time="fixed", nats=n) for w, n in each.items()])
+        for each in (with_rest, without)
+    )
+    assert spoils(one, two) == spoilt  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("alone, handed_back", [(0.1, ("a", ("a",))), (0.4, ("given", ()))])

@@ -6,13 +6,13 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy import fft
 
 from cannoise_jax.discovery.compare.light import Light, light_for
+from cannoise_jax.discovery.compare.patterns import Pattern, mean_of, of_other_frames
 from cannoise_jax.discovery.compare.pixel_noise import Spread, compared, stand_out, uneven
 from cannoise_jax.discovery.compare.run import asked_signal
-from cannoise_jax.discovery.compare.shapes import Pattern
 from cannoise_jax.discovery.compare.sources import Source
 from cannoise_jax.discovery.compare.strays import without_strays
 from cannoise_jax.discovery.compare.view import Raw, bulk_variance, noise_of, reduce
@@ -132,8 +132,20 @@ def _part(r: Recording, number: int, look: list[int], source: Source, step: floa
         # of a pattern is in its draws.
         maps = raw.mean - (expected if dark else fitted), drawn.mean - expected
         recorded, simulated = (np.where(raw.usable, v, 0.0) for v in maps)
-        pattern = Pattern(recorded, simulated, bulk / raw.frames, typical / drawn.frames)
-    excess = _power(raw, own, bulk) - _power(drawn, theirs, typical) if n else np.zeros(raw.mean.shape)
+        # The noise in means is that of the pixels as they are, not as they are brought to one level.
+        each_own, each_drawn = (d.contrasts * np.sqrt(unit) for d in (raw, drawn))
+        theirs_mean = mean_of(simulated, each_drawn, drawn.usable, drawn.frames, typical)
+        ours_mean = (
+            mean_of(recorded, each_own, raw.usable, raw.frames, bulk)
+            if n
+            else of_other_frames(theirs_mean, recorded, drawn.frames / raw.frames)
+        )
+        pattern = Pattern(ours_mean, theirs_mean)
+    excess = np.zeros(raw.mean.shape)
+    if n:
+        # The same pixels of both: more frames are drawn, of which fewer noisy ones pass as quiet.
+        kept = _alike(raw, own, bulk) & _alike(drawn, theirs, typical)
+        excess = _power(raw, kept) - _power(drawn, kept)
     signal = np.maximum(fitted - np.mean(r.black_level), 0)
     # Pixels that the simulator already has noisier than the others are held against what it gives them.
     loud = np.ones_like(own)
@@ -163,10 +175,14 @@ def _steady(raw: Raw) -> Float[np.ndarray, "n h w"]:
     return out
 
 
-def _power(raw: Raw, own: Float[np.ndarray, "h w"], bulk: float) -> Float[np.ndarray, "h w"]:
-    """Mean periodogram of the contrasts, DN^2, outlying pixels at zero. own: mean square of each pixel."""
-    n = len(raw.contrasts)
-    kept = ~stand_out(own / max(bulk, 1e-12), n) & raw.usable
+def _alike(raw: Raw, own: Float[np.ndarray, "h w"], bulk: float) -> Bool[np.ndarray, "h w"]:
+    """Pixels that are no noisier than others. own: mean square of each pixel."""
+    return ~stand_out(own / max(bulk, 1e-12), max(len(raw.contrasts), 1)) & raw.usable
+
+
+def _power(raw: Raw, kept: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """Mean periodogram of the contrasts, DN^2, other pixels than those kept at zero."""
+    n = max(len(raw.contrasts), 1)
     total = np.zeros(raw.mean.shape)
     for c in raw.contrasts:
         total += np.abs(fft.fft2(c * kept)) ** 2

@@ -18,11 +18,14 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from cannoise_jax.discovery.compare.parts import Part, parts_of
+from cannoise_jax.discovery.compare.patterns import missing, weighted
 from cannoise_jax.discovery.compare.pixel_noise import Spread, Variances, variances
-from cannoise_jax.discovery.compare.shapes import LIKELY, SURE, missing, smooth
+from cannoise_jax.discovery.compare.shapes import LIKELY, SURE, smooth
 from cannoise_jax.discovery.compare.sources import modelled
 from cannoise_jax.mechanisms.residual import KNOTS, LIT, MAPS, RESIDUAL
-from cannoise_jax.physics.core.sensor import SensorModel
+from cannoise_jax.physics.core.chain import altered_noise
+from cannoise_jax.physics.core.sensor import SensorModel, Settings
+from cannoise_jax.physics.core.settings import context_of, resolve
 from cannoise_jax.recordings.recording import CaptureSet
 
 SHARES = ("keep", *(f"left{k}" for k in range(KNOTS)))
@@ -49,12 +52,16 @@ def with_remainder(
     if not any(p.contrasts for part in whole for p in part):
         return model
     fixed = _fixed(whole[0]) if whole[0] else None
-    less = _shares(capture, *whole, fixed)
+    less = _shares(capture, *whole, fixed, quiet(model, capture.recordings[0].size))
     # What is missing is measured beside what the baseline has left. What stays is measured beside the whole
-    # of it: the noise in the mean of a single frame is what the simulator says.
+    # of it: the noise in the mean of a single frame is what the simulator says. So is what single pixels have
+    # beyond the others: what is taken from all alike is given back to all alike.
     rest = parts_of(capture, modelled(_added(model, less), key), tell)
     darks, lit = (
-        [r._replace(pattern=w.pattern, uneven=w.uneven) for r, w in zip(own, plain, strict=True)]
+        [
+            r._replace(pattern=w.pattern, uneven=w.uneven, ratio=w.ratio, loud=w.loud)
+            for r, w in zip(own, plain, strict=True)
+        ]
         for own, plain in zip(rest, whole, strict=True)
     )
     maps = _measured(capture, darks, lit, fixed)
@@ -66,16 +73,26 @@ def _added(model: SensorModel, maps: dict[str, np.ndarray]) -> SensorModel:
     return model.with_mechanism(RESIDUAL, maps=full, again=True)
 
 
+def quiet(model: SensorModel, size: tuple[int, int]) -> float:
+    """Variance of the read noise of the quietest pixels over the baseline's, where lines or pixels have a
+    noise of their own."""
+    context = context_of(model, jnp.zeros((1, *size)), Settings(iso=float(np.asarray(model.iso)[0])))
+    noise = altered_noise(model, context, resolve(model, context))
+    own = noise.gain_dn_per_e * noise.read_noise_e / (context.gain_dn_per_e * context.read_noise_e)
+    return float(np.quantile(np.asarray(own) ** 2, _LOWEST))
+
+
 def _shares(
-    capture: CaptureSet, darks: list[Part], lit: list[Part], fixed: _Fixed | None
+    capture: CaptureSet, darks: list[Part], lit: list[Part], fixed: _Fixed | None, least: float
 ) -> dict[str, np.ndarray]:
     """Maps of `mechanisms.residual` that take away as much of the baseline's noise as the frames that look
-    have too little of at any spatial frequency, and nothing else. fixed: of the darks."""
+    have too little of at any spatial frequency, and nothing else. fixed: of the darks; least: `quiet`.
+    """
     maps = _empty(capture)
     if fixed is not None:
         zero = np.zeros(darks[0].signal.shape)
         maps.update(dict.fromkeys(("offset", "rate", "spread", "growth", "spectrum"), zero))
-        maps["keep"] = np.full((1, 1), _left(_still(darks, fixed.rate)[1], True))
+        maps["keep"] = np.full((1, 1), _left(_still(darks, fixed.rate)[1], True, least))
     for k, p in enumerate(lit):
         zero = np.zeros(p.signal.shape)
         left = np.full((1, 1), _left([p], False))
@@ -85,14 +102,15 @@ def _shares(
     return maps
 
 
-def _left(parts: list[Part], dark: bool) -> float:
+def _left(parts: list[Part], dark: bool, least: float = 1.0) -> float:
     """Share of the variance of the baseline's noise (of darks its read noise) that may stay: quiet pixels
-    have less than the others."""
+    have less than the others. least: what the quietest have of it, and may lose."""
     weight = [p.contrasts for p in parts]
     own = float(np.average([p.read if dark else p.own for p in parts], weights=weight))
     missing = (_SPARE + 1 - _pixels(parts).lowest) * _level(parts)
     missing -= float(np.quantile(_spectrum(parts, False), _LOWEST))
-    return float(np.clip(1 - missing / max(own, 1e-12), _LEAST_LEFT, 1.0))
+    most = (1 - _LEAST_LEFT) * min(least, 1.0)
+    return float(np.clip(1 - missing / max(own, 1e-12), 1 - most, 1.0))
 
 
 def _level(parts: list[Part]) -> float:
@@ -139,16 +157,16 @@ def _fixed(darks: list[Part]) -> _Fixed:
     """Both by least squares over the exposures."""
     known = [p for p in darks if p.pattern is not None]
     patterns = [p.pattern for p in known if p.pattern is not None]
-    weight = np.array([1 / (p.noise + p.simulated_noise) for p in patterns])
+    weight = np.array([1 / p.noise for p in patterns])
     times = np.array([p.exposure_s for p in known])
     centre = float(np.average(times, weights=weight))
     spread = float(np.sum(weight * (times - centre) ** 2))
-    mean, rate = weight / weight.sum(), np.zeros(patterns[0].recorded.shape)
+    mean, rate = weight / weight.sum(), np.zeros(patterns[0].recorded.values.shape)
     if len(set(times)) > 1 and spread > 0:
         slope = weight * (times - centre) / spread
         mean = mean - centre * slope
-        rate = missing(patterns[0].combined(patterns[1:], slope), 1)
-    offset = missing(patterns[0].combined(patterns[1:], mean), 2)
+        rate = missing(weighted(patterns, slope), 1)
+    offset = missing(weighted(patterns, mean), 2)
     return _Fixed(offset, rate)
 
 

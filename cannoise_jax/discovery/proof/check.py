@@ -36,6 +36,12 @@ _LITTLE = 0.05
 Of living cells, which move, a remainder took 0.36 off the two-sample area, and 0.026 more differed."""
 
 
+_TIMES, _MUCH = 3.0, 0.1
+"""By how much a kind of difference may grow with the remainder, as long as it stays below such a share of all
+that differed without it. Where columns lost a noise of their own to it, a kind that was nothing before became
+0.15 of that, and 0.99 of what was left."""
+
+
 class Checked(NamedTuple):
     """What differs before and after. nearer: which of both is nearer to the recordings (None: they draw
     nothing in common); held_back: whether the frames had no part in fitting; surely: whether composite score
@@ -51,6 +57,10 @@ class Checked(NamedTuple):
     def unchanged(self) -> Checked:
         """The same where the simulator that was judged is handed back."""
         return self._replace(after=self.before, nearer=None)
+
+    def in_place(self, after: Comparison, surely: bool) -> Checked:
+        """The same where another simulator is handed back."""
+        return self._replace(after=after, nearer=better(self.before.bank, after.bank), surely=surely)
 
     @property
     def nats(self) -> float:
@@ -68,6 +78,24 @@ class Checked(NamedTuple):
         """Share of the mismatch, in nats, that is left; None where there was none."""
         first = sum(d.nats for d in self.before.differences)
         return self.nats / first if first > 0 else None
+
+
+def spoils(with_rest: Comparison, without: Comparison) -> bool:
+    """Whether the remainder makes a difference of some kind that is much larger than without it, or leaves
+    more that differs in all."""
+    before, after = _by_kind(without), _by_kind(with_rest)
+    total = sum(before.values())
+    grown = any(
+        nats > _TIMES * before.get(kind, 0.0) and nats > _MUCH * total for kind, nats in after.items()
+    )
+    return grown or sum(after.values()) > (1 + _LITTLE) * total
+
+
+def _by_kind(found: Comparison) -> dict[tuple[str, str], float]:
+    out: dict[tuple[str, str], float] = {}
+    for d in found.differences:
+        out[d.what, d.time] = out.get((d.what, d.time), 0.0) + d.nats
+    return out
 
 
 def frames_for(splits: list[tuple[list[int], list[int]]]) -> Chosen:
