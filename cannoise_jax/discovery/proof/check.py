@@ -38,7 +38,7 @@ Of living cells, which move, a remainder took 0.36 off the two-sample area, and 
 
 _TIMES, _MUCH = 3.0, 0.05
 """By how much one kind of difference may grow with the remainder while it stays below such a share of all
-that differed before. Where columns lost a noise of their own to it, one that was right became 0.12 of that and
+that differed before. Where columns lost a noise of their own to it, one that was right became 0.12 of it and
 0.99 of what was left. Where it took the area 0.11 nearer, of codes of 0.6 of the noise, one became 0.005."""
 
 
