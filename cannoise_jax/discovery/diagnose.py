@@ -318,7 +318,7 @@ def checked(
             given = spare.model is sides.model
             source = shaded(source_of(spare.model, sides.plain, AFTER, key), light)
             alone = found.before if given else compared_on(judged.capture, frames, source, layer, tell)
-            if spoils(found.after, alone):
+            if spoils(found.after, alone, found.before):
                 gated, model = spare, spare.model
                 found = found.unchanged if given else found.in_place(alone, spare.surely)
         if not found.worse:

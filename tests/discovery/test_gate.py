@@ -286,21 +286,21 @@ def test_what_differs_where_nothing_did_is_worse(before, after, surely, worse):
 @pytest.mark.parametrize(
     ("without", "with_rest", "spoilt"),
     [
-        ({"blocks": 100}, {"blocks": 2}, False),
-        ({"blocks": 100}, {"blocks": 2, "lines": 8}, False),
-        ({"blocks": 100}, {"blocks": 2, "lines": 15}, True),  # what was right is so no longer
-        ({"blocks": 80, "lines": 20}, {"blocks": 0, "lines": 40}, False),
-        ({"blocks": 80, "lines": 20}, {"blocks": 80, "lines": 40}, True),  # more differs in all
+        ({"blocks": 500}, {"blocks": 2}, False),
+        ({"blocks": 500}, {"blocks": 2, "lines": 40}, False),
+        ({"blocks": 500}, {"blocks": 2, "lines": 60}, True),  # what was right is so no longer
+        ({"blocks": 400, "lines": 30}, {"lines": 60}, False),
+        ({"blocks": 400, "lines": 30}, {"blocks": 400, "lines": 85}, True),  # more differs in all
+        ({"blocks": 5}, {"lines": 40}, False),
         ({}, {}, False),
-        ({}, {"lines": 5}, True),
     ],
 )
 def test_a_remainder_may_not_make_much_of_a_difference_that_was_small(without, with_rest, spoilt):
-    one, two = (
+    one, two, first = (
         SimpleNamespace(differences=[SimpleNamespace(what=w, time="fixed", nats=n) for w, n in each.items()])
-        for each in (with_rest, without)
+        for each in (with_rest, without, {"blocks": 1000})
     )
-    assert spoils(one, two) == spoilt  # type: ignore[arg-type]
+    assert spoils(one, two, first) == spoilt  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("alone, handed_back", [(0.1, ("a", ("a",))), (0.4, ("given", ()))])
