@@ -309,11 +309,12 @@ def checked(
         given = model is sides.model or (sides.model is None and sides.extended is None)
         own = None if given else after
         found = check(judged.capture, frames, before, own, layer, tell)
-        return found._replace(surely=gated is not None and gated.surely)
+        sure = gated is not None and gated.surely
+        return found._replace(surely=sure, far=gated is not None and gated.far_nearer)
 
     try:
         found = against(model, gated)
-        if gated is not None and gated.remainder:
+        if gated is not None and gated.remainder and not gated.far_nearer:
             spare = gated.without_remainder
             given = spare.model is sides.model
             source = shaded(source_of(spare.model, sides.plain, AFTER, key), light)

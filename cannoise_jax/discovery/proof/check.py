@@ -31,9 +31,10 @@ _PIXELS = 1.2e6
 """Pixels of all frames that are looked at, beyond which fewer are of the longest recordings."""
 
 
-_LITTLE = 0.05
-"""Share of what differed by which more may differ where score and area both say that the draws came nearer.
-Of living cells, which move, a remainder took 0.36 off the two-sample area, and 0.026 more differed."""
+_LITTLE, _FAR = 0.05, 0.1
+"""Share of what differed by which more may differ where score and area both say that the draws came nearer,
+and where the area says far nearer. Of living cells, which move, a remainder took 0.36 off the two-sample area,
+and 0.03 to 0.06 more differed."""
 
 
 _TIMES, _MUCH = 3.0, 0.05
@@ -45,13 +46,14 @@ that differed before. Where columns lost a noise of their own to it, one that wa
 class Checked(NamedTuple):
     """What differs before and after. nearer: which of both is nearer to the recordings (None: they draw
     nothing in common); held_back: whether the frames had no part in fitting; surely: whether composite score
-    and two-sample area both say that the simulator handed back is nearer."""
+    and two-sample area both say that the simulator handed back is nearer, far: the area that it is far so."""
 
     before: Comparison
     after: Comparison
     nearer: Better | None
     held_back: bool
     surely: bool = False
+    far: bool = False
 
     @property
     def unchanged(self) -> Checked:
@@ -60,7 +62,8 @@ class Checked(NamedTuple):
 
     def in_place(self, after: Comparison, surely: bool) -> Checked:
         """The same where another simulator is handed back."""
-        return self._replace(after=after, nearer=better(self.before.bank, after.bank), surely=surely)
+        nearer = better(self.before.bank, after.bank)
+        return self._replace(after=after, nearer=nearer, surely=surely, far=False)
 
     @property
     def nats(self) -> float:
@@ -70,7 +73,7 @@ class Checked(NamedTuple):
     @property
     def worse(self) -> bool:
         """Whether more differs than before, also where nothing did: surely more, where all else is better."""
-        more = _LITTLE if self.surely else 0.0
+        more = (_FAR if self.far else _LITTLE) if self.surely else 0.0
         return self.nats > (1 + more) * sum(d.nats for d in self.before.differences)
 
     @property

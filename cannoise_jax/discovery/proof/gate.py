@@ -46,7 +46,7 @@ pixel. Beside the findings of a CMOS camera of less than a code of noise, 0.0047
 and took 0.096 off the two-sample area."""
 
 
-WORTH_ALL = 0.05
+WORTH_ALL = 0.1
 """By how much the two-sample area has to fall for all findings to be given up: what can be understood, drawn
 anew for another unit and taken to other settings is worth that much."""
 
@@ -58,6 +58,11 @@ draws, which one null in twenty is by chance, and whatever is drawn next is then
 
 _MOST_ALONE = 8
 """Findings that are tried one by one: each is drawn for it, which takes seconds."""
+
+
+_FAR_NEARER = 0.2
+"""Fall of the two-sample area by which a remainder stays though a kind of difference is made by it. Of living
+cells it took 0.34 off, and rows differed in how loud they were; where columns lost their own noise 0.09."""
 
 
 FARTHER = 0.01
@@ -87,6 +92,12 @@ class Gated(NamedTuple):
             return self
         late = self.tried[len(self.spare.tried) :]
         return self.spare._replace(tried=(*self.spare.tried, *(t._replace(entered=False) for t in late)))
+
+    @property
+    def far_nearer(self) -> bool:
+        """Whether the remainder took so much off the two-sample area that it may leave other things worse."""
+        late = self.tried[len(self.spare.tried) :] if self.spare is not None else ()
+        return any(t.entered and t.area is not None and t.area.value < -_FAR_NEARER for t in late)
 
     @property
     def helps(self) -> bool:
