@@ -33,8 +33,8 @@ _PIXELS = 1.2e6
 
 _LITTLE, _FAR = 0.05, 0.1
 """Share of what differed by which more may differ where score and area both say that the draws came nearer,
-and where the area says far nearer. Of living cells, which move, a remainder took 0.36 off the two-sample area,
-and 0.03 to 0.06 more differed."""
+and where the area says far nearer. Of living cells, which move, a remainder took 0.36 off the area, and 0.03
+to 0.06 more differed."""
 
 
 _TIMES, _MUCH = 3.0, 0.05
