@@ -151,9 +151,10 @@ def test_findings_with_a_name_stay_where_one_without_keeps_the_remainder_from_he
     assert (found.model, found.steps, found.remainder) == ("a+", ("a",), True)
 
 
-def test_findings_stay_beside_a_remainder_that_does_no_better_alone():
+@pytest.mark.parametrize("beside", [0.0, 0.1])
+def test_findings_stay_beside_a_remainder_that_does_little_better_alone(beside):
     """The remainder alone is nearer than the findings, and so is the remainder beside them, less surely."""
-    areas = {"given": 0.4, "ab": 0.14, "ab+": 0.0, "a+": 0.12, "given+": 0.05}
+    areas = {"given": 0.4, "ab": 0.17, "ab+": beside, "a+": 0.15, "given+": 0.05}
     for unsure, handed_back in ((("ab+",), "ab+"), ((), "ab+")):
         bench = Bench(areas, unsure=unsure)
         found, sides = gated(bench)
@@ -272,7 +273,7 @@ def test_what_has_no_name_is_in_the_simulator_that_is_handed_back():
         ([], [], False, False),
         ([100], [103], False, True),
         ([100], [103], True, False),  # score and area both came nearer
-        ([100], [110], True, True),
+        ([100], [111], True, True),
         ([], [9], True, True),
     ],
 )
@@ -281,6 +282,19 @@ def test_what_differs_where_nothing_did_is_worse(before, after, surely, worse):
         SimpleNamespace(differences=[SimpleNamespace(nats=n) for n in each]) for each in (before, after)
     )
     assert Checked(one, two, None, True, surely).worse == worse  # type: ignore[arg-type]
+    # What is far nearer by the area may leave a tenth more.
+    far = sum(after) > 1.1 * sum(before) if surely else worse
+    assert Checked(one, two, None, True, surely, True).worse == far  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("area, far", [(0.15, True), (0.3, False)])
+def test_a_remainder_that_takes_much_off_the_area_is_far_nearer(area, far):
+    bench = Bench({"given": 0.5, "ab": 0.4, "ab+": area, "a+": 0.4, "given+": 0.4})
+    found, sides = gated(bench)
+    found = gate_module.remaining(
+        found, bench, sides, described=("a", "b"), sure=("a", "b"), with_rest=lambda model: model + "+"
+    )
+    assert found.remainder and found.far_nearer == far and not found.without_remainder.far_nearer
 
 
 @pytest.mark.parametrize(

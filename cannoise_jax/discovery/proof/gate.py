@@ -226,11 +226,14 @@ def remaining(
         nearer = tried.nearer or (len(some) == len(gated.steps) and not _farther(tried))
         enters = tried.better and nearer and (tried.scored or _surely(tried))
         if gated.steps and not some:
-            enters = enters and tried.area is not None and tried.area.value < -WORTH_ALL
+            enters = enters and _worth_all(tried)
         tried = tried._replace(entered=enters)
         if number == WITH_REST and not enters and not tried.worse:
             beside = candidate, looked, tried
-        instead = enters and beside is not None and not _tried(what, some, panel, beside[1], looked).nearer
+        instead = False
+        if enters and beside is not None:
+            than = _tried(what, some, panel, beside[1], looked)
+            instead = not (than.nearer if some else _worth_all(than))
         every = (*gated.tried, tried._replace(entered=False) if instead else tried)
         if instead and beside is not None:
             candidate, looked, tried = beside
@@ -239,6 +242,10 @@ def remaining(
         if enters:
             gated = gated._replace(model=candidate, after=looked, steps=some, remainder=True, spare=spare)
     return gated
+
+
+def _worth_all(tried: Tried) -> bool:
+    return tried.area is not None and tried.area.value < -WORTH_ALL
 
 
 def _surely(tried: Tried) -> bool:
