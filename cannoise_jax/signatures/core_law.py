@@ -37,7 +37,7 @@ ones vary by half of it, up to twice their mean; of log-normal ones the logarith
 _NORMAL = (0.0003, 0.001, 0.003, 0.01, 0.03, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8)
 """Shares of the variance that the normal values may have."""
 _REFINED = 40
-"""Laws tried on the way from each of the best of these to the likeliest."""
+"""Laws tried on the way from the best of these to the likeliest."""
 _BULK, _TAKEN = 0.98, 4
 """Share of the levels, the lowest, that tell such laws, and how many of these are looked at further."""
 _SMALL = 1e-13
@@ -131,7 +131,8 @@ def left_open(u: Float[np.ndarray, "n"]) -> tuple[Core, ...]:
 
 
 def widened(u: Float[np.ndarray, "n"]) -> tuple[Core, ...]:
-    """The laws with normal values beside them that have the bulk of the levels best, `_TAKEN` of each kind.
+    """The laws with normal values beside them that have the bulk of the levels best, `_TAKEN` of each kind
+    and the likeliest about the best of these.
 
     Offsets of pixels, and noise, make the lower half of the levels more normal than currents are, whose tail
     is then longer than the lower half says."""

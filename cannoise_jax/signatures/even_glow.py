@@ -7,6 +7,8 @@ waves across the frame hold nearly all of it, unlike lines, tiles and a step bet
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 from jaxtyping import Float
 from scipy import fft
@@ -23,17 +25,26 @@ _MOSTLY = 0.85
 """Share of how levels differ that these must hold."""
 _STEP = 0.85
 """And the share of that which a step between two parts may explain at most: of a slope three quarters."""
+_TILES, _TILED = 4, 0.75
+"""Most tiles along a side, as of amplifiers, and the share of that from which on they describe the levels."""
 
 
 def smooth(levels: Float[np.ndarray, "h w"]) -> bool:
-    """Whether few waves across the frame hold what levels differ by, and no step between two parts does."""
+    """Whether few waves across the frame hold what levels differ by, and neither a step between two parts nor
+    even tiles describe it as well as as many waves do."""
     apart = levels - levels.mean()
     power = fft.dctn(apart, norm="ortho") ** 2
     whole = float(power.sum())
     if not whole > 0:
         return False
     held = float(power[:_WAVES, :_WAVES].sum()) / whole
-    return held > _MOSTLY and _of_a_step(apart) < _STEP * held
+    if held <= _MOSTLY or _of_a_step(apart) >= _STEP * held:
+        return False
+    for rows, columns in product(range(1, _TILES + 1), repeat=2):
+        tiled = _of_tiles(apart, rows, columns)
+        if tiled > _TILED * held and tiled > float(power[:rows, :columns].sum()) / whole:
+            return False
+    return True
 
 
 def _of_a_step(apart: Float[np.ndarray, "h w"]) -> float:
@@ -44,6 +55,13 @@ def _of_a_step(apart: Float[np.ndarray, "h w"]) -> float:
         before, n = np.cumsum(lines)[:-1], np.arange(1, lines.size)
         best = max(best, float(np.max(before**2 * (1 / n + 1 / (lines.size - n)))) / lines.size)
     return best / float(np.mean(apart**2))
+
+
+def _of_tiles(apart: Float[np.ndarray, "h w"], rows: int, columns: int) -> float:
+    """The same of the means of so many even tiles."""
+    parts = (np.array_split(band, columns, 1) for band in np.array_split(apart, rows, 0))
+    squares = sum(part.size * float(part.mean()) ** 2 for band in parts for part in band)
+    return squares / float(np.sum(apart**2))
 
 
 def grows(fields: tuple[Fields, ...], form: Float[np.ndarray, "h w"]) -> bool:

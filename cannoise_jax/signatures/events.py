@@ -281,8 +281,15 @@ def _of_tracks(
     """How many particles have hit, and the mean charge of one; by the spikes that stand alone, see `charge`,
     where there are few frames."""
     by_number = {f.number: f for f in fields}
+    often = np.sum([s.up.any(0) | s.down.any(0) | s.noisy for s in found], axis=0) > 1
+    # Beside pixels that jump: by chance alone no more spikes come back than these.
+    comes_back = seen.back > stats.poisson.isf(1e-3, seen.again * (seen.up + seen.back))
     told = [
-        tracks(by_number[s.number], s.up.any(0) | _twice(s), limit_of(by_number[s.number]))
+        tracks(
+            by_number[s.number],
+            (s.up.any(0) | _twice(s)) & ~(often & comes_back),
+            limit_of(by_number[s.number]),
+        )
         for s in found
         if s.up.any()
     ]

@@ -8,6 +8,7 @@ least to stand out.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ from cannoise_jax.signatures.rare import CENTRES, FAR, HEATS, level_counts, log_
 _FEW = 0.05
 """Share of hot pixels up to which the lower half of all levels tells the law of the others."""
 _ROUNDS = 3
-"""Of a share of hot pixels and the law below it, each told with the other, until they stand."""
+"""Of a share of hot pixels and the law below it, each told with the other: three, and they stand."""
 _CLEARLY = 10.0
 """Nats by which a law must be better that has more skewness than the lower half of the levels, or normal
 values beside a skewed one; and up to which hot pixels beside the first are none. Gamma-distributed currents
@@ -60,19 +61,23 @@ def likely_laws(u: Float[np.ndarray, "n"], spread: float, mapped: bool) -> list[
         nats = float(counts @ each) - u.size * float(np.log(core.spread))
         return Told(nats, core, counts, share, height, gain)
 
+    def proper(laws: Iterable[Core]) -> list[Core]:
+        # Of levels that lie on few values half may be one of them.
+        return [core for core in laws if core.spread > 0]
+
     def few(laws: tuple[Core, ...]) -> list[Told]:
         # Beside more hot ones the lower half of all levels is that of no law.
-        return [f for f in map(beside, laws) if f.share < _FEW]
+        return [f for f in map(beside, proper(laws)) if f.share < _FEW]
 
     def many(told: Told) -> list[Told]:
         """Normal laws beside as many hot ones as the one before has."""
         out: list[Told] = []
         for _ in range(_ROUNDS):
-            told = beside(level(u, told.share))
-            out.append(told)
+            out += [beside(core) for core in proper([level(u, told.share)])]
+            told = out[-1] if out else told
         return out
 
-    normal = [beside(level(u))] if mapped else []
+    normal = [beside(core) for core in proper([level(u)])] if mapped else []
     normal += many(normal[0]) if normal and normal[0].share >= _FEW else []
     told = sorted([beside(Core(spread)), *normal, *few(skewed(u) if mapped else ())], key=lambda f: -f.nats)
     if mapped and told[0].gain > _ALIKE:  # else nothing stands out from the shorter tail already
@@ -80,7 +85,7 @@ def likely_laws(u: Float[np.ndarray, "n"], spread: float, mapped: bool) -> list[
         told = wide if wide and wide[0].nats > told[0].nats + _CLEARLY else told
     if mapped and told[0].share:
         # A tail that a law of more skewness has far better, and nothing out of it, is that law's.
-        others = [f for f in map(beside, left_open(u)) if f.gain < _CLEARLY]
+        others = [f for f in map(beside, proper(left_open(u))) if f.gain < _CLEARLY]
         other = max(others, key=lambda f: f.nats, default=told[0])
         told = [other] if other.nats > told[0].nats + _CLEARLY else told
     return [f for f in told if f.nats > told[0].nats - _ALIKE]

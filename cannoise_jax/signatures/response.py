@@ -36,8 +36,10 @@ from cannoise_jax.signatures.signature import FILES, Axes, Signature, unchanged
 
 _MOST = 0.8
 """Loss at white, at most, over that of a curve that has its top there: of a parabola 1/4."""
-_ORDERS = (1.0, 1.5, 2.0, 3.0, 4.0)
+_ORDERS = (1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 3.5, 4.0)
 """Powers of the signal by which what is lost may grow."""
+_EVEN = 2 * float(np.sqrt(12))
+"""Standard deviations of an even law between the middles of three values, in what the outer two are apart."""
 _MISSED = 9.0
 """Chi-square below that of a parabola, from which on another order is no chance: three standard errors."""
 _FEWEST = 3
@@ -52,12 +54,14 @@ _STEADY = 1e-3
 
 
 class OfVariance(NamedTuple):
-    """A loss at white, its standard error, the nats that it explains, and the order of the curve."""
+    """A loss at white, its standard error, the nats that it explains, and the order of the curve with its
+    own error."""
 
     loss: float
     error: float
     gain: float
     order: float = 1.0
+    order_error: float = 0.0
 
 
 class OfMeans(NamedTuple):
@@ -86,8 +90,15 @@ def by_variance(curves: Curves, span: float, order: float | None = None) -> OfVa
     if freedom < 2 or told[1.0][1] - least < _MISSED * scale:
         return told[1.0][0]
     weights = np.exp(-(np.array([told[order][1] for order in _ORDERS]) - least) / 2 / scale)
-    away = np.array([told[order][0].loss for order in _ORDERS]) - found.loss
-    return found._replace(error=float(np.hypot(found.error, np.sqrt(np.average(away**2, weights=weights)))))
+    losses, orders = np.array([told[order][0].loss for order in _ORDERS]), np.array(_ORDERS)
+    # Between two of those that are tried neither is known better than by half of what they are apart.
+    n = _ORDERS.index(found.order)
+    near = slice(max(n - 1, 0), n + 2)
+    unsure, order_error = (
+        float(np.hypot(np.sqrt(np.average((v - v[n]) ** 2, weights=weights)), np.ptp(v[near]) / _EVEN))
+        for v in (losses, orders)
+    )
+    return found._replace(error=float(np.hypot(found.error, unsure)), order_error=order_error)
 
 
 def _of_order(curves: Curves, span: float, order: float) -> tuple[OfVariance, float]:
@@ -164,7 +175,7 @@ def response_score(
     t = straight.loss * np.sign(bent.loss) / straight.error
     gain = bent.gain if alike and t > stats.t.ppf(_SURE, straight.freedom) else 0.0
     loss, error = bent.loss, bent.error
-    more = {"order": (bent.order, "1", 0.0)} if bent.order != 1 else {}
+    more = {"order": (bent.order, "1", bent.order_error)} if bent.order != 1 else {}
     if gain:
         weights = np.array([bent.error, straight.error]) ** -2.0
         loss, error = np.average((bent.loss, straight.loss), weights=weights), weights.sum() ** -0.5

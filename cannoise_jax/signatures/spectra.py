@@ -46,17 +46,14 @@ Weak noise leaves the exponent open, and with it how much of the variance lies w
 
 def slope_score(fields: tuple[Fields, ...], *, scan: str) -> Score[tuple[float, float]] | None:
     """1/f^a noise along the raster scan, or from row to row."""
-    spectra = [
-        (raster_modes(f) if scan == "raster" else row_modes(f, "additive"))
-        for f in fields
-        if len(f.contrasts)
-    ]
-    if not spectra:
+    seen = [f for f in fields if len(f.contrasts) and f.usable.any()]
+    if not seen:
         return None
+    spectra = [raster_modes(f) if scan == "raster" else row_modes(f, "additive") for f in seen]
     size = fields[0].mean.size if scan == "raster" else fields[0].mean.shape[0]
     weights = mode_weights(size)
     power = np.array([p for p, _ in spectra]) * weights
-    dof = np.array([len(f.contrasts) for f in fields if len(f.contrasts)], float)[:, None] * weights
+    dof = np.array([len(f.contrasts) for f in seen], float)[:, None] * weights
     information = np.array([i for _, i in spectra])[:, None]
     modes = banded(dof)
     mean_power, level = banded(power) / modes, _level(scan)

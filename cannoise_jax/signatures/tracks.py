@@ -17,7 +17,7 @@ from scipy import ndimage
 from cannoise_jax.signatures.fields import Fields, frame_fields
 
 _LEAST_FRAMES = 5
-"""From which on the median of a pixel over the frames has no hit in it."""
+"""From which on the median of a pixel over the frames, or the mean of those before, has little of a hit."""
 _OF_MEDIAN = np.pi / 2
 """Variance of a median over that of a mean, of normal noise."""
 _BESIDE = np.ones((3, 3), bool)
@@ -37,12 +37,12 @@ def tracks(
     been hit."""
     if max(field.before, field.frames) < _LEAST_FRAMES:
         return None
-    sigma = field.sigma.astype(np.float64)
+    sigma = field.sigma.astype(np.float32)
     if field.before:  # from the mean of the frames before
-        noise = sigma * np.sqrt(1 + 1 / field.before)
+        noise = sigma * np.float32(np.sqrt(1 + 1 / field.before))
         frames = frame_fields(field, static=False) * noise
     else:
-        frames = frame_fields(field, static=False) * (sigma * np.sqrt(1 - 1 / field.frames))
+        frames = frame_fields(field, static=False) * (sigma * np.float32(np.sqrt(1 - 1 / field.frames)))
         frames -= np.median(frames, 0)
         noise = sigma * np.sqrt(1 + _OF_MEDIAN / field.frames)
     least = limit * noise
@@ -51,5 +51,7 @@ def tracks(
     for frame in frames:
         hit = (frame > least) & may_be_hit & field.usable
         number += int(ndimage.label(ndimage.binary_closing(hit, _BESIDE) | hit, _BESIDE)[1])
-        charge += float(frame[ndimage.binary_dilation(hit, _BESIDE) & field.usable].sum()) / gain
+        charge += (
+            float(frame[ndimage.binary_dilation(hit, _BESIDE) & field.usable].sum(dtype=np.float64)) / gain
+        )
     return Tracks(number, charge)

@@ -56,7 +56,7 @@ def combined(means: Sequence[Mean], weights: Float[np.ndarray, "k"]) -> Mean:
     )
     parts = weights**2 * np.array([m.noise for m in means])
     known = float(np.sum(parts**2 / np.array([m.contrasts for m in means])))
-    return Mean(values, power, own, min(float(parts.sum() ** 2 / max(known, 1e-300)), _CERTAIN))
+    return Mean(values, power, own, float(np.clip(parts.sum() ** 2 / max(known, 1e-300), 1.0, _CERTAIN)))
 
 
 def mean_of(
@@ -78,6 +78,7 @@ def mean_of(
     for c in contrasts:
         power += np.abs(fft.fft2(c * kept)) ** 2
     power /= n * values.size * max(float(kept.mean()), 1e-6) * frames
+    power = np.maximum(power, 1e-6 * typical / frames)  # pixels of far less than a code stand still
     return Mean(values, power.astype(np.float32), own.astype(np.float32), n)
 
 

@@ -135,7 +135,7 @@ def _down(values: np.ndarray, apart: int) -> Float[np.ndarray, "h w"]:
     return out
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=1)
 def _at_edges(size: tuple[int, int], scales: tuple[int, ...]) -> dict[int, Float[np.ndarray, "h w"]]:
     """By how much more than in the middle of the frame the details of white noise scatter, by scale."""
     down, across = (_squares(n, scales) for n in size)

@@ -14,6 +14,8 @@ from cannoise_jax.signatures.fields import Fields, without_pixels
 from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import Signature
 
+_SURE_NATS = 20.0
+"""Nats that a pattern has to gain without any one band of rows to be shown by the others alone."""
 _BLOCKS = 6
 """Blocks of a jackknife."""
 
@@ -136,6 +138,6 @@ def jackknife_interval(
     if (signature.redraws_frames or banded) and g > 2:
         # Of a few frames that lie far apart, or a pattern that most of the frame has little of, the scatter
         # of what each gains says nothing, but that any one can be left out does; and a likelihood ratio
-        # exceeds 20 with a chance of 1/20 where there is nothing.
-        low = max(low, float(gains.min()) - float(np.log(20)))
+        # exceeds 20 with a chance of 1/20 where there is nothing. A statistic of areas is no such ratio.
+        low = max(low, float(gains.min()) - (_SURE_NATS if banded else float(np.log(20))))
     return low, gain + half
