@@ -120,7 +120,8 @@ def jackknife_interval(
     """90 % interval of a held-out gain by leaving out bands of rows, or blocks of frames where a row or frame
     shares what is new in it; nan for fewer than two blocks. again: the score of all frames held back. What is
     left without a block knows less, by much where that was most of the longest dark: gains are compared as
-    they would be of as much."""
+    they would be of as much. The lower end is no lower than what is gained without any one block, less a
+    margin."""
     size = sum(f.contrasts.size for f in fields)
     most = _BLOCKS if size < _LARGE else _BLOCKS // 2 + 1
     banded = signature.axes.in_bands
