@@ -141,6 +141,8 @@ def widened(u: Float[np.ndarray, "n"]) -> tuple[Core, ...]:
     counts, edges = np.histogram(ordered[ordered < cut], 400)
     centres, above = (edges[1:] + edges[:-1]) / 2, u.size - int(counts.sum())
     _, middle, median = np.quantile(ordered, _BELOW)
+    if not middle < median:
+        return ()
 
     def nats(core: Core) -> float:
         law = _of(core.law, core.skew, core.normal)

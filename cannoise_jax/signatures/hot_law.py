@@ -62,7 +62,7 @@ def likely_laws(u: Float[np.ndarray, "n"], spread: float, mapped: bool) -> list[
         return Told(nats, core, counts, share, height, gain)
 
     def proper(laws: Iterable[Core]) -> list[Core]:
-        # Of levels that lie on few values half may be one of them.
+        # Of levels that lie on few values half may be one of them, and tell no law.
         return [core for core in laws if core.spread > 0]
 
     def few(laws: tuple[Core, ...]) -> list[Told]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cannoise_jax.discovery.compare.patterns import Mean, Pattern, mean_of, missing
+from cannoise_jax.discovery.compare.patterns import Mean, Pattern, combined, mean_of, missing
 from cannoise_jax.discovery.compare.shapes import LIKELY, smooth
 from cannoise_jax.signatures.fields import helmert
 
@@ -171,3 +171,13 @@ def test_one_wave_is_counted_once():
     power = np.mean(np.abs(np.fft.fft2(frames)) ** 2, 0) / np.prod(SIZE)
     out = smooth(power - 0.9, 12, 0.9, LIKELY)
     assert np.mean(out) == pytest.approx(np.mean(power - 0.9), abs=0.05)
+
+
+def test_pixels_that_stand_still_have_a_mean_as_any():
+    """Noise far below a code: one pixel in 150 moves, and no other."""
+    rng = np.random.default_rng(8)
+    moves = rng.random((48, 64)) < 1 / 150
+    contrasts = np.rint(5 * rng.standard_normal((3, 48, 64))) * moves
+    one = mean_of(np.zeros((48, 64)), contrasts, np.ones((48, 64), bool), 4, 1e-6)
+    assert one.noise > 0 and combined((one, one), np.array([1.0, -1.0])).contrasts >= 1
+    assert np.isfinite(missing(Pattern(one, one), 1)).all()

@@ -131,3 +131,24 @@ def test_rate_and_charge_of_hits_are_those_of_whole_tracks(number, frames):
     rate = number / (0.11 * SIZE[0] * SIZE[1] / 1e6)
     assert score.amplitude * charge == pytest.approx(rate * np.mean(fallen), rel=0.15)
     assert score.amplitude == pytest.approx(rate, rel=0.25)
+
+
+@pytest.mark.parametrize(("share", "most"), [(0.0, 1.1), (0.01, 1.8)])
+def test_pixels_that_jump_in_two_recordings_are_no_particles(share, most):
+    """Those that jump in one alone cannot be told from them."""
+
+    def alter(rng):
+        jumps = rng.random(SIZE) < share
+
+        def change(dn, signal, kind, t):
+            dn = dn + 60.0 * (jumps & (rng.random(SIZE) < 0.04))
+            for y, x in rng.integers(0, [SIZE[0], SIZE[1] - 5], (8 if t > LONG_S else 0, 2)):
+                dn[y, x : x + 5] += 300.0
+            return dn
+
+        return change
+
+    capture = capture_set(4, alter, kinds="d", frames=12)
+    score = spike_score(prepare_split(capture, split_recordings(capture)).fields, kind="hits")
+    assert score is not None
+    assert 0.9 < score.amplitude / (8 / (0.11 * SIZE[0] * SIZE[1] / 1e6)) < most

@@ -79,3 +79,11 @@ def test_a_glow_of_any_form_takes_no_name_with_it(form):
     assert sizes["amp_glow"] == pytest.approx(strength, rel=0.05)
     # What its form, told from noisy pixels, leaves in lines and areas.
     assert all(size < 0.01 * strength for name, size in sizes.items() if name not in own)
+
+
+@pytest.mark.parametrize("parts", [(2, 2), (1, 4), (3, 4), (4, 4)])
+def test_amplifiers_are_no_light(parts):
+    rng = np.random.default_rng(3)
+    whole = [SIZE[0] // parts[0] * parts[0], SIZE[1] // parts[1] * parts[1]]
+    tile = np.ones([n // k for n, k in zip(whole, parts, strict=True)])
+    assert not any(smooth(np.kron(rng.standard_normal(parts), tile)) for _ in range(20))
