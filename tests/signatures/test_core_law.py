@@ -110,7 +110,7 @@ def test_offsets_beside_long_tailed_currents_make_no_pixel_hot(law, variation, o
 
 @pytest.mark.parametrize("hot", [0.0, 0.12])
 def test_levels_of_few_values_have_a_law(hot):
-    """Where noise is below a code half of the levels may be one of them, and their lower half has no spread."""
+    """Where noise is below a code half of the levels may be one of them: their lower half has no spread."""
     rng = np.random.default_rng(6)
     u = np.rint(0.4 * rng.standard_normal(20_000)) + 30.0 * (rng.random(20_000) < hot)
     assert likely_laws(u, 1.0, True)

@@ -34,9 +34,9 @@ _BENT = (
     "cent: record three or more exposures of one steady lamp, which tell the curve"
 )
 _UNLIKE = (
-    "the gain is that of a straight line, and the variance of the flats bends, which their means over the "
-    "exposure do not bear out as one smooth curve: it may be off by some per cent: either the variance bends "
-    "by itself, or the lamp was not steady enough: record more exposures of one steady lamp"
+    "the gain is that of a straight line, and may be off by some per cent: the variance of the flats bends, "
+    "and their means over the exposure do not bear that out as one smooth curve. Either it bends by itself, "
+    "or the lamp was not steady enough, which more exposures of one steady lamp would tell"
 )
 _OF_PIXELS = ("readout", "pixel", "redrawn", "add")
 """Where the noise of single pixels enters, and how."""
