@@ -52,7 +52,7 @@ def test_a_leak_of_light_is_measured_and_the_same_on_other_frames():
     assert other.amplitude < 4 * other.error and other.gain < 8
 
 
-def test_of_darks_of_two_exposures_it_is_one_finding_that_grows_with_the_exposure():
+def test_in_darks_of_two_exposures_light_that_leaks_in_is_a_glow():
     rng = np.random.default_rng(4)
     recordings = []
     for kind, seconds, level in (("dark", 0.1, 0.0), ("dark", 4.0, 0.0), ("flat", 0.1, 900.0)):
@@ -65,7 +65,8 @@ def test_of_darks_of_two_exposures_it_is_one_finding_that_grows_with_the_exposur
             )
         )  # fmt: skip
     found = diagnose(CaptureSet("camera", tuple(recordings)), compare=False, key=jax.random.key(0))
-    stays = [s for s in found.fitted.steps if s.named.signature.frozen and s.named.mechanism == "unknown"]
-    assert [(s.named.signature.kin, s.named.signature.axes.scales) for s in stays] == [("smooth", "exposure")]
-    assert stays[0].named.score.amplitude == pytest.approx(1.5 * 20 * LEAK.std(), rel=0.05)
-    assert "amp_glow" not in found.findings
+    told = {s.named.mechanism: s.named.score.amplitude for s in found.fitted.steps}
+    # Strong enough to show its form, it counts as a glow, which may have any.
+    strength = 1.5 * 20 * float(np.sqrt(np.mean((LEAK - np.quantile(LEAK, 0.005)) ** 2)))
+    assert told["amp_glow"] == pytest.approx(strength, rel=0.25)
+    assert all(size < 0.05 * strength for name, size in told.items() if name == "unknown")
