@@ -26,7 +26,7 @@ from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.remembered import remembered
 from cannoise_jax.signatures.score import LEAST_LOG_P, Score
 from cannoise_jax.signatures.signature import CONTRASTS, STATIC, Axes, Signature
-from cannoise_jax.signatures.tracks import tracks
+from cannoise_jax.signatures.tracks import CELL, tracks
 
 FAR = 5.5
 """Standard deviations of normal noise from which on a frame counts as a spike."""
@@ -40,8 +40,6 @@ _MOST_ONCE = 0.35
 _TRACKS = 1.5
 """By which more pixels are hit twice than there would be by single hits that all stand out: tracks cross in
 several pixels, and faint ends of one lie on another."""
-_CELL = np.ones((3, 3), bool)
-"""A pixel and its eight neighbours, of which a track goes on in one."""
 
 
 class Spikes(NamedTuple):
@@ -125,10 +123,15 @@ class Count(NamedTuple):
     tracks: int
 
 
+def _restless(spikes: Spikes) -> np.ndarray:
+    """Pixels `[h, w]` that spike or are noisy in a recording."""
+    return spikes.up.any(0) | spikes.down.any(0) | spikes.noisy
+
+
 def count(found: list[Spikes]) -> Count:
     """Counts over all recordings."""
     size = found[0].noisy.shape
-    each = [s.up.any(0) | s.down.any(0) | s.noisy for s in found]
+    each = [_restless(s) for s in found]
     hit, still = np.sum(each, axis=0), [1 - float(pixels.mean()) for pixels in each]
     up = down = back = pairs = tracks = 0
     chance = met = 0.0
@@ -142,11 +145,11 @@ def count(found: list[Spikes]) -> Count:
             number = int(alone.sum())
             if not number:
                 continue
-            beside = ndimage.convolve(alone.astype(np.int8), _CELL.astype(np.int8), mode="constant") > 1
+            beside = ndimage.convolve(alone.astype(np.int8), CELL.astype(np.int8), mode="constant") > 1
             up += number
             pairs += int((beside & alone).sum())
             chance += number * 8 * number / (size[0] * size[1])
-            tracks += int(ndimage.label(alone, _CELL)[1])
+            tracks += int(ndimage.label(alone, CELL)[1])
     return Count(up, down, back, met / max(up + back, 1), pairs, chance, tracks)
 
 
@@ -271,7 +274,7 @@ def spike_score(
 def _charge(found: list[Spikes], spikes: Heights) -> float:
     """Mean charge of a spike beyond the limit, electrons."""
     total = float(np.sum(spikes.height / np.maximum(spikes.gain, 1e-9)))
-    events = sum(int(ndimage.label(up, _CELL)[1]) for s in found for up in s.up)
+    events = sum(int(ndimage.label(up, CELL)[1]) for s in found for up in s.up)
     return total / events if events else 0.0
 
 
@@ -281,7 +284,7 @@ def _of_tracks(
     """How many particles have hit, and the mean charge of one; by the spikes that stand alone, see `charge`,
     where there are few frames."""
     by_number = {f.number: f for f in fields}
-    often = np.sum([s.up.any(0) | s.down.any(0) | s.noisy for s in found], axis=0) > 1
+    often = np.sum([_restless(s) for s in found], axis=0) > 1
     # Beside pixels that jump: by chance alone no more spikes come back than these.
     comes_back = seen.back > stats.poisson.isf(1e-3, seen.again * (seen.up + seen.back))
     told = [
@@ -313,9 +316,7 @@ def _twice(spikes: Spikes) -> np.ndarray:
 def without_spikes(fields: tuple[Fields, ...], score: Score) -> tuple[Fields, ...]:
     """The fields without the pixels that were hit, and those beside them, in the recording where they were:
     the faint ends of a track lie beside its bright pixels. Of many hits a few meet the same pixel twice."""
-    hit = {
-        s.number: ndimage.binary_dilation(s.up.any(0) | s.earlier | _twice(s), _CELL) for s in find(fields)
-    }
+    hit = {s.number: ndimage.binary_dilation(s.up.any(0) | s.earlier | _twice(s), CELL) for s in find(fields)}
     out = []
     for f in fields:
         mask = hit.get(f.number)

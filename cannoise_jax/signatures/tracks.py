@@ -20,7 +20,8 @@ _LEAST_FRAMES = 5
 """From which on the median of a pixel over the frames, or the mean of those before, has little of a hit."""
 _OF_MEDIAN = np.pi / 2
 """Variance of a median over that of a mean, of normal noise."""
-_BESIDE = np.ones((3, 3), bool)
+CELL = np.ones((3, 3), bool)
+"""A pixel and its eight neighbours, of which a track goes on in one."""
 
 
 class Tracks(NamedTuple):
@@ -50,8 +51,6 @@ def tracks(
     gain = max(float(np.mean(field.gain)), 1e-9)
     for frame in frames:
         hit = (frame > least) & may_be_hit & field.usable
-        number += int(ndimage.label(ndimage.binary_closing(hit, _BESIDE) | hit, _BESIDE)[1])
-        charge += (
-            float(frame[ndimage.binary_dilation(hit, _BESIDE) & field.usable].sum(dtype=np.float64)) / gain
-        )
+        number += int(ndimage.label(ndimage.binary_closing(hit, CELL) | hit, CELL)[1])
+        charge += float(frame[ndimage.binary_dilation(hit, CELL) & field.usable].sum(dtype=np.float64)) / gain
     return Tracks(number, charge)
