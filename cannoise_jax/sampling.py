@@ -23,6 +23,7 @@ from cannoise_jax.networks.layers import fold_spectral_norm
 from cannoise_jax.physics.core.ranges import check_key
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.physics.initial_noise import InitialNoise, initial_noise, sensors_of
+from cannoise_jax.physics.robust import median
 from cannoise_jax.physics.single_image import estimate_nlf
 
 SMALLEST = 16
@@ -242,7 +243,7 @@ def check_values(clean: Array | np.ndarray, noisy_ref: Array | np.ndarray) -> No
         values = np.asarray(image)  # of constants of a traced function too
         if not np.isfinite(values).all():
             raise ValueError(f"{name} holds NaN or infinite values: replace them")
-        middle, least = float(np.median(values)), float(values.min())
+        middle, least = float(median(values)), float(values.min())
         if not _DARKEST <= middle <= _BRIGHTEST:
             raise ValueError(f"{name} has median {middle:.4g}, {remedy}")
         # References are noisy: single pixels of theirs may be anywhere.

@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cannoise_jax.physics.robust import median
+
 
 class Curve(NamedTuple):
     """Two curves over the same axis. points: draw dots, for sparse axes; log: logarithmic ordinate."""
@@ -138,7 +140,7 @@ def tail(frames, signal, black):
 def noise_spread(frames, signal, black):
     """Share of the pixels whose temporal standard deviation is above so many times the median."""
     sigma = frames.std(axis=0, ddof=1)
-    ratio = sigma / np.median(sigma)
+    ratio = sigma / median(sigma)
     x = np.linspace(0.5, 4, 36)
     return x, np.array([max((ratio > k).mean(), 0.5 / ratio.size) for k in x])
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Float
 
@@ -14,10 +16,29 @@ _PIXELS = 1 << 14
 """Pixels that are worked on at once: so many, of all values held, stay near the processor."""
 
 
+def median(values: Any, axis: int | None = None, *, keepdims: bool = False) -> Any:
+    """Median along an axis (None: of all values), bit for bit that of `numpy.median`, which takes five to
+    nine times as long: NumPy has vector instructions to order values about one place, and its median asks
+    for several. Of what is no number, or of none, it is NumPy's own."""
+    values = np.asarray(values)
+    if not values.size or values.dtype.kind not in "fiu":
+        return np.median(values, axis, keepdims=keepdims)
+    along = values.reshape(-1) if axis is None else np.moveaxis(values, axis, -1)
+    middle, odd = divmod(along.shape[-1], 2)
+    ordered = np.partition(along, middle, -1)
+    pair = [ordered[..., middle]] if odd else [ordered[..., :middle].max(-1), ordered[..., middle]]
+    out = np.mean(pair, axis=0)
+    if values.dtype.kind == "f":  # what is not a number is ordered last, and makes the median none
+        out = np.where(np.isnan(ordered[..., middle:].max(-1)), out.dtype.type(np.nan), out)[()]
+    if not keepdims:
+        return out
+    return np.expand_dims(out, tuple(range(values.ndim)) if axis is None else axis)
+
+
 def robust_std(values: Float[np.ndarray, "..."], centre: float | None = None) -> float:
     """Standard deviation of the bulk of `values`, in their units, from the median of their distances to
     `centre`, by default to their own median."""
-    return OF_MEDIAN * float(np.median(np.abs(values - (np.median(values) if centre is None else centre))))
+    return OF_MEDIAN * float(median(np.abs(values - (median(values) if centre is None else centre))))
 
 
 def local_median(

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from cannoise_jax.physics.core.grammar import Point, amplitude_name
+from cannoise_jax.physics.robust import median
 from cannoise_jax.signatures.coloured import OUTLYING, draw_coloured, spectrum_of
 from cannoise_jax.signatures.handed import Addition, Found
 
@@ -135,7 +136,7 @@ def _coloured(
 ) -> Float[np.ndarray, "h w"] | None:
     """The draw with neighbours as alike as they are all over; pixels far out, and those of which little is
     known, as in the white one. None where they are not alike."""
-    typical = float(np.median(information))
+    typical = float(median(information))
     if not typical > 0:
         return None
     noise, known = 1 / typical, information > 0.25 * typical

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy import stats
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.signatures.charge_noise import own_charge
 from cannoise_jax.signatures.handed import Many
 from cannoise_jax.signatures.jump_law import (
@@ -21,6 +22,7 @@ from cannoise_jax.signatures.jump_law import (
 )
 from cannoise_jax.signatures.jumps import frames_of
 from cannoise_jax.signatures.known_shape import darks
+from cannoise_jax.signatures.remembered import Kept
 from cannoise_jax.signatures.squares import dark_sigma, square_map
 from cannoise_jax.signatures.two_levels import log_ratio_of_two
 
@@ -33,6 +35,10 @@ _MOST_NATS = 20.0
 _LONGER = 0.05
 """Relative error of the rms of jumps beside chance: traps that change seldom have up to a tenth more of it
 than the frames of a recording show."""
+
+
+_MAPS: Kept[Float[np.ndarray, "h w"]] = Kept(4)
+"""The last maps of pixels that jump."""
 
 
 class Expected(NamedTuple):
@@ -123,7 +129,13 @@ def _among_themselves(fields: Many) -> Many:
 
 def blinking_map(fields: Many) -> Float[np.ndarray, "h w"]:
     """The temporal standard deviation by their jumps of the pixels that more likely jump than not, DN; 0 in
-    all others."""
+    all others. Read-only: every model with a finding has the same."""
+    read = [v for f in fields for v in (f.contrasts, f.static, f.mean, f.sigma, f.usable)]
+    which = tuple((f.number, f.frames, f.before, f.exposure_s, f.unit) for f in fields)
+    return _MAPS.of(read, which, lambda: _blinking_map(fields))
+
+
+def _blinking_map(fields: Many) -> Float[np.ndarray, "h w"]:
     out = np.zeros(fields[0].mean.shape)
     looked = _looked(fields)
     if looked is None or not looked.at.size:
@@ -134,7 +146,9 @@ def blinking_map(fields: Many) -> Float[np.ndarray, "h w"]:
         at = looked.at[first : first + most]
         told = jumping_pixels(_kinds(fields, looked, at), laws)
         out.flat[at] = np.where(told.chance > 0.5, np.sqrt(told.variance), 0.0)
-    return out * dark_sigma(tuple(darks(fields))) * looked.louder
+    out *= dark_sigma(tuple(darks(fields))) * looked.louder
+    out.setflags(write=False)
+    return out
 
 
 def _frames(fields: Many) -> int:
@@ -148,7 +162,7 @@ def _looked(fields: Many) -> _Looked | None:
     squares, usable, freedom = found
     if not usable.any():
         return None
-    of_most = float(np.median(squares[usable])) / float(stats.chi2.median(freedom))
+    of_most = float(median(squares[usable])) / float(stats.chi2.median(freedom))
     squares = squares / max(of_most, 1e-12)
     limit = float(stats.chi2.isf(NOISY, freedom))
     at = np.flatnonzero(usable & (squares > limit))

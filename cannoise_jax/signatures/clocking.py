@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 from scipy import stats
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.signatures.events import Heights, Spikes, limit_of, spike_score, without_spikes
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.plain import carried, plain
@@ -47,7 +48,7 @@ def hidden(fields: tuple[Fields, ...], found: list[Spikes], spikes: Heights) -> 
     for s in found:
         f = by_number[s.number]
         if size:
-            limit, sigma = float(np.median(limit_of(f) * f.sigma)), float(np.median(f.sigma))
+            limit, sigma = float(median(limit_of(f) * f.sigma)), float(median(f.sigma))
             share = float(stats.exponnorm.sf(limit, size / sigma, scale=sigma))
         else:
             height = float(np.mean(f.gain)) / f.sigma

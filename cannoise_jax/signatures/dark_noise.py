@@ -18,6 +18,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import stats
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.handed import Addition, Found, Many
@@ -60,7 +61,7 @@ def _of_blocks(field: Fields) -> tuple[np.ndarray, np.ndarray] | None:
             kept = field.usable[at]
             if kept.sum() < _FEWEST:
                 return None
-            out.append((float(np.median(power[at][kept])), float(np.median(level[at][kept]))))
+            out.append((float(median(power[at][kept])), float(median(level[at][kept]))))
     variance, levels = np.array(out).T
     return variance, levels
 
@@ -75,7 +76,7 @@ def excess_score(fields: Many) -> Score | None:
         and f.exposure_s is not None
         and f.static is not None
         and len(f.contrasts)
-        and float(np.median(f.sigma)) > f.step
+        and float(median(f.sigma)) > f.step
     ]
     t = np.array([f.exposure_s for f in dark], float)
     group = np.array([f.group for f in dark])

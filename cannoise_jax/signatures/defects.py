@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage, stats
 
-from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.robust import median, robust_std
 from cannoise_jax.physics.transfer.fit import median_quotient
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.hot import without_pixels
@@ -72,7 +72,7 @@ def _responses(fields: tuple[Fields, ...]) -> tuple[np.ndarray, np.ndarray, np.n
         root = np.sqrt(f.frames) * f.signal / f.sigma
         tells = f.usable & (root * _LOST > 10)
         share = -f.static / np.maximum(root, 1e-6)
-        centre = np.median(share[tells]) if tells.any() else 0.0
+        centre = median(share[tells]) if tells.any() else 0.0
         least = np.where(tells, np.minimum(least, share - centre), least)
         seen += tells
         power += np.where(tells, np.minimum(f.static, 0.0) ** 2, 0.0)
@@ -152,14 +152,14 @@ def _likelihood(fields: tuple[Fields, ...], name: str) -> np.ndarray | None:
     kernel = {**KERNELS, **MONO_KERNELS}[name]
     for f in fields:
         codes = f.sigma / f.step
-        if not len(f.contrasts) or np.median(codes) < _COARSE:
+        if not len(f.contrasts) or median(codes) < _COARSE:
             continue
         # Noise of neighbours of another signal is another in units of their own.
         values = f.contrasts * (f.sigma / f.step)
         rest = _left_over(values, kernel)
         power = np.einsum("nij,nij->ij", rest, rest) / codes**2
         n = len(f.contrasts)
-        typical = float(np.median(power[f.usable])) / (n * median_quotient(n)) if f.usable.any() else 0.0
+        typical = float(median(power[f.usable])) / (n * median_quotient(n)) if f.usable.any() else 0.0
         own = np.broadcast_to((1 / 12 + 0.02) / codes**2 + _BESIDE_MEAN.get(name, 0.0), power.shape)
         if typical < 0.1:
             continue

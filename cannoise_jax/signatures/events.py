@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage, special, stats
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.signatures.fields import Fields, each_frame, without_pixels
 from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.remembered import remembered
@@ -72,7 +73,7 @@ def limit_of(field: Fields) -> np.ndarray:
 @remembered("contrasts", "static", "usable", "sigma", "signal")
 def _spikes(field: Fields) -> Spikes | None:
     """Frames that stand alone, far above or below the others of their pixel."""
-    if field.frames + min(field.before, 2) < 3 or np.median(field.sigma) < 0.4 * field.step:
+    if field.frames + min(field.before, 2) < 3 or median(field.sigma) < 0.4 * field.step:
         return None
     power = np.einsum("nij,nij->ij", field.contrasts, field.contrasts)
     frames = np.stack(list(each_frame(field, static=False)))

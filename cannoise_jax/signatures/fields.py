@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import KINDS, LIT
 from cannoise_jax.signatures.remembered import remembered
@@ -285,4 +286,4 @@ def refit(fields: tuple[Fields, ...], before: tuple[Fields, ...] = ()) -> tuple[
 def _median_from(values: Float[np.ndarray, "..."], least: float) -> float:
     """The median, or 0 where it plainly lies below `least`: to count is much faster than to order."""
     below = 2 * np.count_nonzero(values < np.float32(0.999 * least)) > values.size
-    return 0.0 if below else float(np.median(values))
+    return 0.0 if below else float(median(values))

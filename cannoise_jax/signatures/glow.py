@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage, special
 
-from cannoise_jax.physics.robust import OF_MEDIAN, local_median
+from cannoise_jax.physics.robust import OF_MEDIAN, local_median, median
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.added import as_map, placed
@@ -159,7 +159,7 @@ def _stands_out(fields: tuple[Fields, ...], z: float, template: np.ndarray) -> b
     single = less_levels(sums, around)
     if z <= _BEFORE_MAPS * spread_of(single.score[seen] / np.sqrt(single.information[seen])):
         return False
-    levels, fall = (v - np.median(v) for v in (around, template))
+    levels, fall = (v - median(v) for v in (around, template))
     share = float(np.sum(levels * fall) ** 2 / max(float(np.sum(levels**2) * np.sum(fall**2)), 1e-30))
     if share > _MOSTLY:
         return True

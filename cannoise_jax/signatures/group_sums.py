@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.signatures.answers import shows, stays, told
 from cannoise_jax.signatures.fields import Fields
@@ -133,9 +134,9 @@ def outlying(values: np.ndarray, response: np.ndarray, groups: Groups) -> np.nda
         return seen
     number = groups.kin.size
     count = np.bincount(groups.of[seen], minlength=number)
-    middle = float(np.median(values[seen]))
+    middle = float(median(values[seen]))
     centre = np.where(count < _FEWEST, middle, medians(values[seen], groups.of[seen], count))
-    spread = max(float(np.median(np.abs(values - centre[groups.of])[seen])) / _MEDIAN_OFF, 1.0)
+    spread = max(float(median(np.abs(values - centre[groups.of])[seen])) / _MEDIAN_OFF, 1.0)
     many = count >= _FEWEST
     chance = _MEDIANS * spread**2 * float(np.sum(1 / count[many]))
     apart = float(np.sum((centre[many] - middle) ** 2))
@@ -169,16 +170,20 @@ def shared_sums(
     if not shown or groups.kin.size < 2 or not told(fields, scaling):
         return None
 
-    responses = [stays(f, axis, scaling).astype(np.float64) for f, _ in shown]
+    pieces = []
+    for f, static in shown:
+        response = stays(f, axis, scaling).astype(np.float64)
+        pieces.append((f.frames, static * response, np.square(response, out=response)))
 
     def together(kept: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
         score, information = np.zeros(groups.of.shape), np.zeros(groups.of.shape)
-        for (f, static), response in zip(shown, responses, strict=True):
-            r = response * kept
-            rest = static - float(np.sum(static * r)) / max(float(np.sum(r**2)), 1e-30) * r
-            score += np.sqrt(f.frames) * rest * r
-            information += f.frames * r**2
-        root = np.sqrt(information)
+        for frames, projected, square in pieces:
+            mean = float(np.sum(projected * kept)) / max(float(np.sum(square * kept)), 1e-30)
+            score += np.sqrt(frames) * (projected - mean * square)
+            information += frames * square
+        score *= kept
+        information *= kept
+        root = np.sqrt(information, out=information)
         return score / np.maximum(root, 1e-15), root
 
     lines = shown[0][0].answers.lines.get(axis)

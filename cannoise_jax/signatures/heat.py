@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from scipy import special, stats
 from scipy.interpolate import make_interp_spline
 
-from cannoise_jax.physics.robust import NOISE_OF_MEDIAN, OF_MEDIAN, robust_std
+from cannoise_jax.physics.robust import NOISE_OF_MEDIAN, OF_MEDIAN, median, robust_std
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.core_law import Core
@@ -74,7 +74,7 @@ def _around(
     spread = OF_MEDIAN * np.where(count, medians(np.abs(inside - levels[of]), of, count), 0.0)
     noise = (NOISE_OF_MEDIAN * spread**2 / np.maximum(count, 1)).reshape(shape)
     levels = levels.reshape(shape)
-    levels -= np.median(levels)
+    levels -= median(levels)
     apart = float(np.sum(np.minimum(levels**2, 1e6 * noise + 1e-30)))
     share = max(1 - 2 * float(noise.sum()) / max(apart, 1e-30), 0.0)
     if not share:
@@ -106,7 +106,7 @@ def follows_exposure(fields: tuple[Fields, ...], far: Bool[np.ndarray, "h w"]) -
         told = np.sum(weight * level * response, 0) ** 2
         return np.sum(weight * level**2, 0) - told / np.maximum(np.sum(weight * response**2, 0), 1e-30)
 
-    return float(np.median(left(np.ones_like(seconds)) - left(seconds)))
+    return float(median(left(np.ones_like(seconds)) - left(seconds)))
 
 
 class Heat(NamedTuple):

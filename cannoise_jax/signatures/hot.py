@@ -9,6 +9,7 @@ import numpy as np
 from scipy import stats
 
 from cannoise_jax.physics.core.mechanism import Scaling
+from cannoise_jax.physics.robust import median
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.added import as_map, placed
 from cannoise_jax.signatures.codes import cut_off
@@ -72,7 +73,7 @@ def _lattice_spread(fields: tuple[Fields, ...]) -> float:
     """The standard deviation that the level of a pixel is taken to have at least, over that of its noise:
     below some half a code a few changes by a code reach further than a normal law has it."""
     darks = [f for f in fields if f.kind in DARK and f.usable.any()]
-    return max((_LEAST_NOISE * f.step * float(np.median(f.weight[f.usable])) for f in darks), default=0.0)
+    return max((_LEAST_NOISE * f.step * float(median(f.weight[f.usable])) for f in darks), default=0.0)
 
 
 _TOLD = 4.0
@@ -100,8 +101,8 @@ def hot_score(fields: tuple[Fields, ...], *, scaling: str, cut: bool = False) ->
     u = np.where(seen, sums.score / np.sqrt(np.where(seen, sums.information, 1.0)), 0.0).ravel()
     bulk = spread_of(u[seen.ravel()])
     if cut:
-        median, high = np.quantile(u[seen.ravel()], _UPPER)
-        bulk = max(bulk, float(high - median) / float(stats.norm.ppf(_UPPER[1])))
+        middle, high = np.quantile(u[seen.ravel()], _UPPER)
+        bulk = max(bulk, float(high - middle) / float(stats.norm.ppf(_UPPER[1])))
     least = _lattice_spread(fields)
     own = cut or bulk > max(_STRONG, least) or any(f.answers.apart for f in fields)
     told = likely_laws(u[seen.ravel()], max(bulk, least), own)
@@ -111,7 +112,7 @@ def hot_score(fields: tuple[Fields, ...], *, scaling: str, cut: bool = False) ->
     better = follows_exposure(fields, out) or 0.0
     other_law = better > _TOLD if scaling == "additive" else better < -_TOLD
     other_law |= cut and at < _BEYOND_CUT
-    root = float(np.sqrt(np.median(sums.information[seen]))) / core.spread
+    root = float(np.sqrt(median(sums.information[seen]))) / core.spread
     mixture = min(f.mixture for f in told)
     seconds = (
         float(np.max([f.exposure_s or 1.0 for f in fields if f.kind in DARK]))

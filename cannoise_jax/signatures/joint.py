@@ -24,6 +24,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import stats
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.recordings.recording import KINDS
 from cannoise_jax.signatures.added import draw_pixels
 from cannoise_jax.signatures.answers import along_fields, at_first
@@ -277,7 +278,7 @@ def _fit(fields: tuple[Fields, ...], maps: Sequence[FrozenMap], place: _Place) -
         power, own = u**2, np.maximum(np.einsum("nii->ni", m), 1e-30)
         # A few far out are no part of a map, by the scale of most: by that of all they would be.
         ratio = power / own
-        bulk = np.median(ratio[told], 0) / _MEDIAN_OF_ONE if told.any() else 1.0
+        bulk = median(ratio[told], 0) / _MEDIAN_OF_ONE if told.any() else 1.0
         far = ((ratio > limit * bulk) | place.apart).any(1)
         used = told & ~far
         if not used.any():

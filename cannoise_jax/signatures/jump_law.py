@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import special, stats
 
+from cannoise_jax.signatures.log_sums import log_sum
 from cannoise_jax.signatures.two_levels import high_counts, log_ratio_of_three, log_ratio_of_two
 
 JUMPS = np.concatenate([[0.1, 0.25, 0.42], np.geomspace(0.6, 6.0, 18), np.geomspace(7.7, 60.0, 9)])
@@ -102,7 +103,7 @@ def kinds_of(frames: list[Float[np.ndarray, "t k"]], limit: float) -> Kinds:
 
     levels = [[of_levels(ratio, float(j)) for j in JUMPS] for ratio in (log_ratio_of_two, log_ratio_of_three)]
     louder = [-0.5 * freedom * np.log(v) + 0.5 * squares * (1 - 1 / v) for v in _LOUDER]
-    noisier = special.logsumexp(louder, axis=0) - np.log(_LOUDER.size)
+    noisier = log_sum(np.array(louder)) - np.log(_LOUDER.size)
     missed = _missed(tuple(len(x) for x in about), round(limit, 6))
     return Kinds(np.array(levels), np.array([noisier, _hit(about)]), *missed)
 
@@ -121,7 +122,7 @@ def _hit(about: list[Float[np.ndarray, "t k"]]) -> Float[np.ndarray, "k"]:
         even = 2 * np.maximum(np.abs(x) / left, low) * np.log(high / low)
         logs.append(0.5 * x**2 / left + 0.5 * np.log(2 * np.pi / left) - np.log(even))
     each = np.concatenate(logs)
-    return special.logsumexp(each, axis=0) - np.log(len(each))
+    return log_sum(each) - np.log(len(each))
 
 
 @lru_cache(maxsize=64)
@@ -179,7 +180,7 @@ def jumping_pixels(kinds: Kinds, laws: list[Law]) -> Jumping:
     chance, jump, variance = np.zeros((3, kinds.others.shape[1]))
     for law in laws:
         log_weight = np.log(np.maximum(law.weight, 1e-300))[:, None]
-        whole = special.logsumexp(_seen(kinds, law.weight), axis=0, b=law.shares[:, None])
+        whole = log_sum(_seen(kinds, law.weight), law.shares)
         for ratio, share, of in zip(kinds.levels, law.shares[1:3], (_TWO, _THREE), strict=True):
             each = law.likely * np.exp(np.log(share) + log_weight + ratio - whole)
             chance += each.sum(0)
@@ -191,7 +192,7 @@ def jumping_pixels(kinds: Kinds, laws: list[Law]) -> Jumping:
 
 def _seen(kinds: Kinds, weight: Float[np.ndarray, "n"]) -> Float[np.ndarray, "5 k"]:
     """Log-likelihood ratio of every pixel that is looked at, by kind."""
-    levels = [special.logsumexp(k, axis=0, b=weight[:, None]) for k in kinds.levels]
+    levels = [log_sum(k, weight) for k in kinds.levels]
     return np.concatenate([np.zeros((1, kinds.others.shape[1])), levels, kinds.others])
 
 

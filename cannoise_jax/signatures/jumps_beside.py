@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import special
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.signatures.charge_noise import own_charge
 from cannoise_jax.signatures.fields import Fields, without_pixels
 from cannoise_jax.signatures.handed import Addition, Found, Many
@@ -84,7 +85,7 @@ def levels_over_normal(frames: list[Float[np.ndarray, "t k"]]) -> Levels:
 
 def _without_farthest(frames: list[Float[np.ndarray, "t k"]]) -> list[Bool[np.ndarray, "t k"]]:
     """Which frames are kept: all but the one that lies farthest off the median of its recording."""
-    off = np.concatenate([np.abs(x - np.median(x, 0)) for x in frames])
+    off = np.concatenate([np.abs(x - median(x, 0)) for x in frames])
     kept = np.ones(off.shape, bool)
     kept[np.argmax(off, 0), np.arange(off.shape[1])] = False
     return np.split(kept, np.cumsum([len(x) for x in frames])[:-1])

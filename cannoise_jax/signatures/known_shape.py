@@ -7,13 +7,14 @@ import math
 import numpy as np
 from scipy import special
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.fields import Fields, channel_index
 
 
 def rounded_enough(field: Fields) -> bool:
     """Whether rounding to the code step leaves the shape of the noise alone."""
-    return bool(np.median(field.sigma) > 0.65 * field.step)
+    return bool(median(field.sigma) > 0.65 * field.step)
 
 
 def darks(fields: tuple[Fields, ...]) -> list[Fields]:
@@ -63,8 +64,8 @@ def known_kurtosis(field: Fields) -> tuple[np.ndarray, np.ndarray]:
         return poisson - field.step**4 / 120 / field.sigma**2 / field.sigma**2, read**2
     channel = channel_index(field.mean.shape)
     chosen = [channel == c for c in range(4)]
-    mean = np.array([np.median(field.mean[m]) for m in chosen])
-    sigma = np.array([np.median(field.sigma[m]) for m in chosen])
+    mean = np.array([median(field.mean[m]) for m in chosen])
+    sigma = np.array([median(field.sigma[m]) for m in chosen])
     own, left = rounding_kurtosis(mean, sigma, field.step)
     return poisson + own[channel], left[channel] * np.clip(1 - field.shot, 0, 1) ** 2
 
@@ -79,4 +80,4 @@ def kurtosis_doubt(field: Fields) -> float:
     Matters where single electrons stand out from the read noise."""
     # The dark level is that beyond another dark's.
     values = 2 / max(field.frames * int(field.usable.sum()), 1)
-    return float(np.mean(field.gain) ** 3 * np.sqrt(values) / np.median(field.sigma) ** 3)
+    return float(np.mean(field.gain) ** 3 * np.sqrt(values) / median(field.sigma) ** 3)

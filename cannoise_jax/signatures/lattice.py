@@ -12,6 +12,7 @@ from functools import partial, reduce
 
 import numpy as np
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.defects import KERNELS, MONO_KERNELS
 from cannoise_jax.signatures.fields import Fields, without_pixels
@@ -76,12 +77,12 @@ def _each_left(fields: tuple[Fields, ...]) -> list[tuple[Fields, list[Left]]]:
     """What each recording of even light shows by every kernel of `_NAMES`."""
     out = []
     for f in fields:
-        if not len(f.contrasts) or np.median(f.sigma) < f.step or f.usable.mean() < 0.5 or f.kind == "scene":
+        if not len(f.contrasts) or median(f.sigma) < f.step or f.usable.mean() < 0.5 or f.kind == "scene":
             continue
         c = f.contrasts - f.contrasts.mean(2, keepdims=True)
         c = (c - c.mean(1, keepdims=True)).clip(-6, 6)
         # In units of the noise of the place, smooth over it: a lattice in sigma is part of the effect.
-        values = c * (f.sigma / float(np.median(f.sigma)))
+        values = c * (f.sigma / float(median(f.sigma)))
         own = np.einsum("nij,nij->ij", values, values) / len(c)
         usable = f.usable.copy()
         usable[:_EDGE], usable[-_EDGE:], usable[:, :_EDGE], usable[:, -_EDGE:] = False, False, False, False

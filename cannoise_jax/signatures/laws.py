@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import special, stats
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.physics.transfer.fit import median_quotient
 
 _PRIOR = 20.0
@@ -71,7 +72,7 @@ def energy_excess(
     excess = np.ones_like(b)
     if dof:
         ratio = each / expected
-        family = max(float(np.median(ratio[count >= 4])) if (count >= 4).any() else 1.0, 1.0)
+        family = max(float(median(ratio[count >= 4])) if (count >= 4).any() else 1.0, 1.0)
         excess = np.maximum((_PRIOR * family + dof * ratio) / (_PRIOR + dof), 1.0)
         if dof >= _SEEN:
             excess = np.where(ratio > 1 + 4 * np.sqrt(2 / dof), ratio, excess)
@@ -119,7 +120,7 @@ def compare_means(
     m, u, _ = simulated.shape
     each, between, dof = _spread(simulated, variance)
     if dof:
-        typical = np.median((each / variance).reshape(parts, -1), 1) / median_quotient(dof)
+        typical = median((each / variance).reshape(parts, -1), 1) / median_quotient(dof)
         family = np.repeat(np.maximum(typical, 0.5), variance.size // parts)
         each = (_PRIOR * family * variance + dof * each) / (_PRIOR + dof)
     else:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from cannoise_jax.physics.core.rounding import before_cut
-from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.robust import median, robust_std
 from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.black import alike
 from cannoise_jax.recordings.recording import DARK
@@ -54,7 +54,7 @@ def dark_levels(fields: tuple[Fields, ...]) -> list[tuple[Fields, np.ndarray, fl
         if f.kind in DARK:
             channel = channel_index(f.mean.shape)
             level = np.array([_level(f, channel == c) for c in range(4)])
-            out.append((f, level, float(np.median(f.sigma)) / np.sqrt(f.frames * f.mean.size / 4)))
+            out.append((f, level, float(median(f.sigma)) / np.sqrt(f.frames * f.mean.size / 4)))
     return out
 
 

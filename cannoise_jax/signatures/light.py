@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.robust import median
 from cannoise_jax.recordings.recording import mosaic_map
 from cannoise_jax.signatures.added import placed, strength
 from cannoise_jax.signatures.fields import Fields, channel_index
@@ -105,7 +106,7 @@ def green_score(fields: tuple[Fields, ...], *, look: Look, patterns: bool = Fals
     """Relative difference of the two green channels. look: see `looking_at`. patterns: by the scatter that
     bands of rows and of columns show, which frozen patterns of pixels and lines add to; by the noise of
     pixels alone otherwise."""
-    dark = float(np.mean([np.median(g.sigma) ** 2 for g in fields if not g.lit] or [0.0]))
+    dark = float(np.mean([median(g.sigma) ** 2 for g in fields if not g.lit] or [0.0]))
     count = sum(g.frames for g in fields if not g.lit) or np.inf
     lit = [f for f in fields if f.static is not None and f.lit and f.usable.any()]
     told = [g for f in lit if (g := look(f)) is not None]

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import fft, ndimage
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.bank import without_lines
 from cannoise_jax.signatures.fields import Fields
@@ -104,7 +105,7 @@ def _beside_waves(values: Float[np.ndarray, "n h w"], at: Periods, level: float)
 
 
 def _scored(seen: _Seen, at: Periods, ratios: dict[Periods, float], trials: int) -> Score[Periods]:
-    level = float(np.median(list(ratios.values())))
+    level = float(median(list(ratios.values())))
     frames, pixels = len(seen.values), seen.values[0].size
     ratio, number = ratios[at] / level, free(at.rows) * free(at.columns) * frames
     left = ratio < _STANDS_OUT or _beside_waves(seen.values, at, level) < _BESIDE_WAVES

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from scipy import special, stats
 
 from cannoise_jax.physics.core.grammar import Point
-from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.robust import median, robust_std
 from cannoise_jax.recordings.recording import KINDS
 from cannoise_jax.signatures.added import as_map, draw_pixels, placed, posterior, strength
 from cannoise_jax.signatures.answers import less_map, response, shows, stays, told
@@ -160,7 +160,7 @@ def pixel_score(fields: tuple[Fields, ...], *, scaling: str) -> Score[float] | N
     # A few pixels far out are hot or dead pixels, a pattern of their own: they must not stand for a map. A
     # map far above the noise puts every pixel out.
     seen = power[np.ravel(sums.information) > 0]
-    bulk = float(np.median(seen)) / stats.chi2.median(1) if seen.size else 1.0
+    bulk = float(median(seen)) / stats.chi2.median(1) if seen.size else 1.0
     limit = STANDS_OUT * (bulk if bulk > 2 else 1.0)
     information = np.where(power < limit, np.ravel(sums.information), 0.0)
     score = component_score(

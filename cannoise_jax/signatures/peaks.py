@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.signatures.fields import Fields, each_frame
 from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.score import Score, student_log_p
@@ -39,12 +40,12 @@ def suppression_score(fields: tuple[Fields, ...]) -> Score | None:
     the weight of the clamped value."""
     up, down = [], []
     for f in fields:
-        if not f.frames or np.median(f.sigma) < f.step or f.usable.mean() < 0.5:
+        if not f.frames or median(f.sigma) < f.step or f.usable.mean() < 0.5:
             continue
         if f.static is None:
             continue
         # A map of levels beyond the noise, as in long darks, has peaks and pits of its own.
-        if np.median(np.abs(f.static[f.usable])) > 1.4 * np.sqrt(f.frames) * _MAP:
+        if median(np.abs(f.static[f.usable])) > 1.4 * np.sqrt(f.frames) * _MAP:
             continue
         far = ndimage.binary_dilation(
             np.abs(f.static) > 4 + 4 * _MAP * np.sqrt(f.frames), np.ones((5, 5), bool)

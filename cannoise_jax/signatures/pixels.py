@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy import special, stats
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.physics.transfer.noise_of_lines import LEAST_SHARE
 from cannoise_jax.signatures.added import as_map, placed
 from cannoise_jax.signatures.charge_noise import own_charge
@@ -137,7 +138,7 @@ def read_share(fields: tuple[Fields, ...]) -> float:
     """Share of the variance of the darks that is read noise: neither rounding nor the shot noise of dark
     charge differs from pixel to pixel with it."""
     chosen = darks(fields)
-    shares = [float(np.median(1 - f.shot - f.step**2 / 12 / f.sigma**2)) for f in chosen]
+    shares = [float(median(1 - f.shot - f.step**2 / 12 / f.sigma**2)) for f in chosen]
     return max(float(np.average(shares, weights=[len(f.contrasts) for f in chosen])), LEAST_SHARE)
 
 
@@ -188,7 +189,7 @@ def _by_read_share(fields: Many) -> list[tuple[float, np.ndarray, int]]:
     """Of darks alike in it: the share that read noise has of their variance, the sum of squares of every
     pixel in units of the noise, and its degrees of freedom."""
     chosen = [f for f in fields if not f.lit and len(f.contrasts)]
-    level = [float(np.median(f.sigma)) ** 2 / f.unit**2 for f in chosen]
+    level = [float(median(f.sigma)) ** 2 / f.unit**2 for f in chosen]
     least: dict[int, float] = {}
     for f, v in zip(chosen, level, strict=True):
         least[f.group] = min(v, least.get(f.group, v))

@@ -13,6 +13,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.signatures.fields import Fields, each_frame
 from cannoise_jax.signatures.memory import cleaned
 from cannoise_jax.signatures.plain import carried, plain
@@ -29,7 +30,7 @@ log(0.75 / (2.5 x 0.01)) = 3.4. Flats of hundreds of electrons and more, 96 x 12
 
 
 def _too_few(field: Fields) -> bool:
-    return field.frames < 3 or bool(np.median(field.sigma) < 0.65 * field.step)
+    return field.frames < 3 or bool(median(field.sigma) < 0.65 * field.step)
 
 
 def _left(field: Fields) -> float:
@@ -49,13 +50,13 @@ def _third(field: Fields, contrasts: np.ndarray, far: float) -> Float[np.ndarray
 def _of_darks(darks: tuple[Fields, ...], lit: Fields) -> tuple[float, float]:
     """Third cumulant of the noise of the darks of a lit recording's gain setting and pixels, DN^3, values
     left out as they are there, and its standard error; 0 without darks."""
-    values, weights, far = [], [], _FAR * float(np.median(lit.sigma))
+    values, weights, far = [], [], _FAR * float(median(lit.sigma))
     for f in darks:
         kept = f.usable & lit.usable
         if f.group != lit.group or _too_few(f) or not kept.any():
             continue
         # As they are: what stands out would be in the scale of the noise.
-        cubes = _third(f, f.contrasts[: f.frames - 1], far / float(np.median(f.sigma)))
+        cubes = _third(f, f.contrasts[: f.frames - 1], far / float(median(f.sigma)))
         third = (cubes * f.sigma.astype(np.float64) ** 3)[kept] / (f.frames * _left(f))
         values.append(float(third.mean()))
         weights.append(third.size / max(float(third.var()), 1e-30))

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import fft
 
-from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.robust import median, robust_std
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.added import placed
 from cannoise_jax.signatures.carriers import refined
@@ -191,7 +191,7 @@ def repeat_score(fields: Many) -> Score[Tile] | None:
     folds = [] if sums is None else list(_folds(sums))
     if sums is None or not folds:
         return None
-    level = max(float(np.median([f.power / f.number for f in folds])), 1.0)
+    level = max(float(median([f.power / f.number for f in folds])), 1.0)
     best = max(folds, key=lambda f: f.gain(level))
     return _scored(sums, best, level, len(folds))
 
@@ -203,7 +203,7 @@ def repeat_again(fields: Many, found: Score[Tile]) -> Score[Tile] | None:
     same = next((f for f in folds if (f.rows, f.columns) == found.payload.values.shape), None)
     if sums is None or same is None:
         return None
-    return _scored(sums, same, max(float(np.median([f.power / f.number for f in folds])), 1.0), 1)
+    return _scored(sums, same, max(float(median([f.power / f.number for f in folds])), 1.0), 1)
 
 
 def repeat_absorb(fields: Many, score: Score[Tile]) -> Many:

@@ -15,6 +15,7 @@ from cannoise_jax.physics.core.chain import run_chain, to_codes
 from cannoise_jax.physics.core.mechanism import Mechanism, Parameter
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.physics.core.settings import DEFAULT, Settings, context_of, resolve
+from cannoise_jax.physics.robust import median
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.signatures.bases import BASES, Basis, Images
@@ -61,7 +62,7 @@ def _camera(field: Fields, recorded: Recorded, seed: int = 0) -> tuple[SensorMod
     field = native(field)
     sigma2 = field.sigma.astype(np.float64) ** 2
     gain = max(float(np.mean(field.gain)), 1e-6)
-    read = float(np.sqrt(np.median(sigma2 * (1 - field.shot)))) / gain
+    read = float(np.sqrt(median(sigma2 * (1 - field.shot)))) / gain
     black = float(np.mean(field.black))
     seconds = field.exposure_s if field.exposure_s is not None else DEFAULT.exposure_s
     iso = next((b.iso for b in recorded.baselines[field.group : field.group + 1]), None) or DEFAULT.iso

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from scipy import optimize, special, stats
 
 from cannoise_jax.physics.core.grammar import Point, amplitude_name
+from cannoise_jax.physics.robust import median
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.fields import Fields, each_frame
 from cannoise_jax.signatures.handed import Addition, Found
@@ -109,7 +110,7 @@ def kurtosis_score(fields: tuple[Fields, ...], *, tails: int = 1) -> Score | Non
             u += float(np.sum(terms))
             scatter += float(np.sum(terms**2))
             if f.kind in DARK:
-                width = f.step / float(np.median(f.sigma))
+                width = f.step / float(median(f.sigma))
                 counted = np.clip(values[w > 0], -cap.at, cap.at)
                 pooled.append((float(np.mean(w[w > 0])), (np.histogram(counted, _EDGES)[0], width)))
     if squares < 1:
@@ -156,7 +157,7 @@ def _told(fields: tuple[Fields, ...]) -> list[tuple[Fields, Float[np.ndarray, "h
     for f in fields:
         narrow = f.step * (1.0 if f.kind == "flat" else 0.65)
         # A flat sits at one place between two codes, which one its smooth mean does not tell well enough.
-        if f.static is not None and np.median(f.sigma**2 * (1 - f.shot)) >= narrow**2:
+        if f.static is not None and median(f.sigma**2 * (1 - f.shot)) >= narrow**2:
             used.append((f, f.static))
     return used
 

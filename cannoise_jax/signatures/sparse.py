@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import optimize, special, stats
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.signatures.rare import (
     EDGES,
     FAR_JUMPS,
@@ -134,9 +135,9 @@ def hot_found(information: Float[np.ndarray, "h w"], log_p: float) -> float:
         for height, noise in cameras:
             counts = (seen.size - height.size) * quiet + level_counts(amplitude * height + noise)
             found.append(hot_log_p(float(log_mixture(counts)), seen.size))
-        return float(np.median(found))
+        return float(median(found))
 
-    return _found(typical, log_p) / float(np.sqrt(np.median(seen)))
+    return _found(typical, log_p) / float(np.sqrt(median(seen)))
 
 
 def telegraph_found(frames: Sequence[int], sigma: float, pixels: int, log_p: float) -> float:
@@ -164,7 +165,7 @@ def telegraph_found(frames: Sequence[int], sigma: float, pixels: int, log_p: flo
             squares = sum(np.sum((v - v.mean(1, keepdims=True)) ** 2, axis=1) for v in values)
             seen = np.histogram(np.log(squares), edges)[0]
             found.append(sparse_log_p((pixels - len(values[0])) * quiet + seen, ratios))
-        return float(np.median(found))
+        return float(median(found))
 
     return _found(typical, log_p) * sigma
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import stats
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.signatures.charge_noise import by_charge, own_charge
 from cannoise_jax.signatures.fields import Fields, without_pixels
 from cannoise_jax.signatures.handed import Many
@@ -59,5 +60,5 @@ READS = STATIC | CONTRASTS | {"mean", "signal", "shot"}
 def dark_sigma(fields: Many) -> float:
     """Standard deviation of the noise, DN, in whose square the sums of squares of all darks together count
     what a pixel has beside it."""
-    told = [(max(len(f.contrasts), 1e-3), float(np.median(f.sigma))) for f in fields if not f.lit]
+    told = [(max(len(f.contrasts), 1e-3), float(median(f.sigma))) for f in fields if not f.lit]
     return float(np.sqrt(sum(n for n, _ in told) / sum(n / sigma**2 for n, sigma in told)))

@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.signatures.added import strength
 from cannoise_jax.signatures.deferred import Deferred, taken_back
 from cannoise_jax.signatures.handed import Found, Many
@@ -106,7 +107,7 @@ def _told(seen: _Differences, length: float, scatter: float) -> _Told:
     """Of tails of this length, which scatter by so much beyond the noise; what lies far out of the others
     counts for nothing (Tukey's biweight)."""
     variance = seen.error**2 + scatter**2
-    middle = np.median(seen.share[variance <= np.median(variance)], 0)
+    middle = median(seen.share[variance <= median(variance)], 0)
     limit = _ODD * np.sqrt(variance)[:, None] + 2 * np.abs(middle)
     near = seen.share * np.maximum(1 - np.square(seen.share / limit), 0.0) ** 2
     tail = _tail(length)

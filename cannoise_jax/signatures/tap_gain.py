@@ -17,6 +17,7 @@ from jaxtyping import Float
 from scipy import stats
 
 from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.robust import median
 from cannoise_jax.signatures.added import placed, strength
 from cannoise_jax.signatures.answers import stays
 from cannoise_jax.signatures.fields import Fields
@@ -127,9 +128,7 @@ def _in_cells(fields: Many) -> _Cells | None:
     groups = cell_groups(sums.score.shape, CELLS)
     # Single pixels far off their own noise are none of a region's.
     power = sums.score**2 / np.maximum(sums.information, 1e-30)
-    bulk = (
-        float(np.median(power[sums.information > 0])) / stats.chi2.median(1) if sums.information.any() else 1
-    )
+    bulk = float(median(power[sums.information > 0])) / stats.chi2.median(1) if sums.information.any() else 1
     kept = power < 25 * max(bulk, 1.0)
     u, i = (groups.sums(v * kept) for v in (sums.score, sums.information))
     root = np.sqrt(i)

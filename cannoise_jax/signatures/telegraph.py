@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import stats
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.signatures.added import as_map, placed
 from cannoise_jax.signatures.blinking import (
     NONE_EXPECTED,
@@ -164,7 +165,7 @@ def _restless(
     off = usable & (u > _FAR * spread_of(u[usable]))
     if off.sum() < _FEW:
         return False
-    return bool(np.median(squares[off]) > _RESTLESS * stats.chi2.median(freedom))
+    return bool(median(squares[off]) > _RESTLESS * stats.chi2.median(freedom))
 
 
 def mask_jumping(fields: Many, score: Score[Restless]) -> Many:
@@ -207,7 +208,7 @@ def jumping(
         for f in (f for fields in asked.looks for f in darks(fields)):
             frames[f.number] = frames.get(f.number, 0) + f.frames
         seen = darks(asked.looks[0])
-        sigma = float(np.mean([np.median(f.sigma) for f in seen])) if seen else 0.0
+        sigma = float(np.mean([median(f.sigma) for f in seen])) if seen else 0.0
         return telegraph_found(tuple(frames.values()), sigma, asked.looks[0][0].mean.size, asked.own_log_p)
 
     def least(sets: tuple[Seen, ...]) -> Law:

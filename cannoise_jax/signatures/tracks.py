@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.signatures.fields import Fields, frame_fields
 
 _LEAST_FRAMES = 5
@@ -44,7 +45,7 @@ def tracks(
         frames = frame_fields(field, static=False) * noise
     else:
         frames = frame_fields(field, static=False) * (sigma * np.float32(np.sqrt(1 - 1 / field.frames)))
-        frames -= np.median(frames, 0)
+        frames -= median(frames, 0)
         noise = sigma * np.sqrt(1 + _OF_MEDIAN / field.frames)
     least = limit * noise
     number, charge = 0, 0.0

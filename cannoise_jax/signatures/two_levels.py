@@ -12,9 +12,13 @@ changes seldom stays where it is in one and not in the next.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from jaxtyping import Float
 from scipy import special
+
+from cannoise_jax.signatures.log_sums import log_add, log_sum
 
 EVEN = (2.0, 40.0)
 """Parameters, of which both are alike, of beta laws of the share of the time in the higher level, each as
@@ -34,6 +38,7 @@ def log_ratio_of_three(frames: list[Float[np.ndarray, "t k"]], jump: float) -> F
     return sum((_three(x - x.mean(0), jump) for x in frames), start=np.zeros(frames[0].shape[1]))
 
 
+@lru_cache(maxsize=64)
 def high_counts(frames: int) -> Float[np.ndarray, "t+1"]:
     """Log chance that so many of the frames of a recording are high."""
     k = np.arange(frames + 1)
@@ -53,7 +58,7 @@ def _two(x: Float[np.ndarray, "t k"], jump: float | Float[np.ndarray, "k"]) -> F
     polynomial = _log_product(jump * x[:, None], 1)
     counted = (high_counts(number) - _log_ways(number))[:, None]
     each = counted - 0.5 * jump**2 * k * (number - k) / number
-    return special.logsumexp(polynomial + each, axis=0)
+    return log_sum(polynomial + each)
 
 
 def _three(x: Float[np.ndarray, "t k"], jump: float) -> Float[np.ndarray, "k"]:
@@ -61,7 +66,7 @@ def _three(x: Float[np.ndarray, "t k"], jump: float) -> Float[np.ndarray, "k"]:
     terms = height * jump * x[:, None] - 0.5 * (height * jump) ** 2
     total = np.arange(2 * number + 1)[:, None]
     polynomial = _log_product(terms, 2)
-    return special.logsumexp(polynomial + 0.5 * (jump * total) ** 2 / number, axis=0) - number * np.log(3)
+    return log_sum(polynomial + 0.5 * (jump * total) ** 2 / number) - number * np.log(3)
 
 
 def _log_product(terms: Float[np.ndarray, "t n k"], degree: int) -> Float[np.ndarray, "m k"]:
@@ -72,6 +77,7 @@ def _log_product(terms: Float[np.ndarray, "t n k"], degree: int) -> Float[np.nda
     for t in range(number):
         before = out[: degree * t + 1].copy()
         for n in range(degree):
-            at = slice(n + 1, n + 2 + degree * t)
-            out[at] = np.logaddexp(out[at], before + terms[t, n])
+            more, held = before + terms[t, n], slice(n + 1, degree * t + 1 + n)
+            out[degree * t + 1 + n] = more[-1]  # the first of this order
+            out[held] = log_add(out[held], more[:-1])
     return out

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from scipy import stats
 
 from cannoise_jax.physics.core.mechanism import DOUBLING_C
-from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.robust import median, robust_std
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.fields import Fields, channel_index
 from cannoise_jax.signatures.group_sums import area_sums
@@ -49,7 +49,7 @@ def dark_map(fields: tuple[Fields, ...]) -> Heat | None:
     if not known.any():
         return None
     estimate = np.where(known, sums.score / np.where(known, sums.information, 1.0), 0.0)
-    estimate = estimate - np.median(estimate[known])
+    estimate = estimate - median(estimate[known])
     share, shot = _redrawn(fields, np.where(known, estimate, 0.0), thermal)
     noise = np.where(known, share / np.where(known, sums.information, 1.0), 0.0)
     middle = estimate[known]
@@ -76,7 +76,7 @@ def _redrawn(
     for f in (f for f in fields if f.kind in DARK and len(f.contrasts) and f.usable.any()):
         seconds = (f.exposure_s or 0.0) if thermal else 1.0
         left = _less(f, f.contrasts, level * seconds)[:, f.usable]
-        share, variance = float(np.mean(left.clip(-_FAR, _FAR) ** 2)), float(np.median(f.sigma)) ** 2
+        share, variance = float(np.mean(left.clip(-_FAR, _FAR) ** 2)), float(median(f.sigma)) ** 2
         weights.append(f.frames * seconds**2 / variance)
         shares.append(share)
         charge = float(np.mean(f.gain)) * current * (f.exposure_s or 0.0)
@@ -164,7 +164,7 @@ def _without_areas(
 def _template(f: Fields, c: np.ndarray, level: np.ndarray, shot: np.ndarray, usable: np.ndarray):
     """The map in standard deviations, the contrasts beside it, and the weight of every pixel."""
     noise = _noise(f)
-    weight, unit = usable / (1 + 1.5 * shot), float(np.median(noise)) / noise
+    weight, unit = usable / (1 + 1.5 * shot), float(median(noise)) / noise
     template = level / noise
     # An offset of the whole frame is no part of it.
     offset = np.sum(weight * unit * template) / max(float(np.sum(weight * unit**2)), 1e-9)
@@ -222,7 +222,7 @@ def _offsets(fields: tuple[Fields, ...]):
     for f in fields:
         if f.kind not in DARK or f.frames < 2 or not f.exposure_s or not f.usable.any():
             continue
-        sigma = float(np.median(f.sigma[f.usable]))
+        sigma = float(median(f.sigma[f.usable]))
         for c in f.contrasts[: f.frames - 1]:
             middle = c[f.usable]
             offsets.append(sigma * float(np.mean(np.clip(middle, -6, 6))))
@@ -314,7 +314,7 @@ def _dark_current(fields: tuple[Fields, ...]) -> float:
     """DN per second by which the mean of the darks grows with the exposure."""
     darks = [f for f in fields if f.kind in DARK and f.exposure_s is not None and f.usable.any()]
     x = np.array([float(f.exposure_s or 0.0) for f in darks])
-    y = np.array([float(np.median(f.mean[f.usable])) for f in darks])
+    y = np.array([float(median(f.mean[f.usable])) for f in darks])
     x = from_means(x, np.array([f.group for f in darks], int), np.ones(x.shape))
     return float(x @ y / (x @ x)) if np.any(x) else 0.0
 

@@ -6,6 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage, stats
 
+from cannoise_jax.physics.robust import median
+
 PAD = 2
 """Points of the grid of frequencies for each that a frame resolves."""
 _WINDOW = 10 * PAD + 1
@@ -27,7 +29,7 @@ def of_all(power: Float[np.ndarray, "h w"], at: tuple[int, int], terms: float) -
     and in others of its strength. terms: independent powers that each point is the mean of, which say by how
     much less than the mean the median of white noise is."""
     told = power > 0  # what is set to zero is not looked at
-    floor = float(np.median(power[told]) / (stats.gamma.median(terms) / terms))
+    floor = float(median(power[told]) / (stats.gamma.median(terms) / terms))
     beyond = np.where(told, power - floor, 0.0)
     narrow, wide = (float(beyond[_window(power.shape, at, side)].sum()) for side in (_TIP, _OWN))
     if narrow < _NARROW * wide:

@@ -29,6 +29,7 @@ from cannoise_jax.discovery.compare.families import (
     of,
 )
 from cannoise_jax.discovery.compare.measure import of_sets
+from cannoise_jax.physics.robust import median
 from cannoise_jax.signatures import laws
 
 FLOOR = 4.0
@@ -238,12 +239,12 @@ def _broad(ratio: np.ndarray) -> np.ndarray:
     for rows in np.array_split(np.arange(h), max(h // _LOCAL, 1)):
         for columns in np.array_split(np.arange(w), max(w // _LOCAL, 1)):
             part = np.ix_(rows, columns)
-            out[part] = np.median(ratio[part])
+            out[part] = median(ratio[part])
     for axis in (0, 1):
         line = ratio[:, 0] if axis == 0 else ratio[0]
         width = 2 * _LOCAL + 1
         padded = np.pad(line, width // 2, mode="wrap" if axis == 0 else "reflect")
-        local = np.median(np.lib.stride_tricks.sliding_window_view(padded, width), 1)
+        local = median(np.lib.stride_tricks.sliding_window_view(padded, width), 1)
         if axis == 0:
             out[:, 0] = local
         else:

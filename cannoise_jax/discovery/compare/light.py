@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from cannoise_jax.discovery.frames.contrasts import robust_line
-from cannoise_jax.physics.robust import OF_MEDIAN, robust_std
+from cannoise_jax.physics.robust import OF_MEDIAN, median, robust_std
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import Recording
 from cannoise_jax.signatures.fields import least_squares
@@ -133,10 +133,10 @@ def cells_of(mean: Float[np.ndarray, "h w"], usable: Bool[np.ndarray, "h w"]) ->
         return blocks.swapaxes(1, 2).reshape(a, b, -1)
 
     values, ok = cut(np.pad(mean, beyond, mode="edge")).astype(np.float64), cut(np.pad(usable, beyond))
-    centre = np.median(values, 2, keepdims=True)
+    centre = median(values, 2, keepdims=True)
     away = np.abs(values - centre)
     # Where most values are one code, the median of what is away from it is zero: then all count.
-    spread = OF_MEDIAN * np.median(away, 2, keepdims=True)
+    spread = OF_MEDIAN * median(away, 2, keepdims=True)
     ok = ok & (away <= np.where(spread > 0, 5 * spread, np.inf))
     weight = ok.sum(2)
     return Cells(np.sum(values * ok, 2) / np.maximum(weight, 1), weight, mean.shape, (height, width))  # type: ignore[arg-type]
@@ -144,7 +144,7 @@ def cells_of(mean: Float[np.ndarray, "h w"], usable: Bool[np.ndarray, "h w"]) ->
 
 def _bulk(values: np.ndarray) -> float:
     """Mean of the values within five robust standard deviations of their median."""
-    centre = np.median(values)
+    centre = median(values)
     away = np.abs(values - centre)
     kept = values[away <= max(5 * robust_std(values, centre), 1e-6)]
     return float(kept.mean()) if kept.size > 0.5 * values.size and np.ptp(kept) > 0 else float(values.mean())

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 from scipy import stats
 
 from cannoise_jax.discovery.frames.draws import within_codes
+from cannoise_jax.physics.robust import median
 from cannoise_jax.signatures import bank
 from cannoise_jax.signatures.fields import helmert
 
@@ -47,7 +48,7 @@ def lone_values(
     frames, rng = len(z) + 1, np.random.default_rng(0)
     if frames < 2:
         return np.zeros(z.shape[1:], bool), np.zeros((1, 2 * len(JUMPS)))
-    fine = grain is None or not usable.any() or float(np.median(grain[usable])) <= FINE
+    fine = grain is None or not usable.any() or float(median(grain[usable])) <= FINE
     total = np.sum(z**2, 0)
     limit = scale * stats.chi2.isf(1e-3, max(frames - 2, 1))
     found, counts = np.zeros(z.shape[1:], bool), np.zeros((frames, 2 * len(JUMPS)))

@@ -16,7 +16,7 @@ from scipy import fft, stats
 from cannoise_jax.discovery.compare.pixel_noise import stand_out
 from cannoise_jax.discovery.compare.shapes import LIKELY, SURE, smooth
 from cannoise_jax.discovery.compare.view import bulk_variance
-from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.robust import median, robust_std
 
 _FAR = 5.0
 """Standard errors from which a pixel stands out of a pattern: of a million one does by chance."""
@@ -94,19 +94,19 @@ def _own(contrasts: Float[np.ndarray, "n h w"], usable: Bool[np.ndarray, "h w"])
     square = np.mean(contrasts**2, 0, dtype=float)
     bulk = max(bulk_variance(square[usable] if usable.any() else square.ravel(), n), 1e-30)
     ratio, middle = square / bulk, float(stats.chi2.median(n)) / n
-    lines = [np.median(ratio, axis, keepdims=True) / middle for axis in (0, 1)]
+    lines = [median(ratio, axis, keepdims=True) / middle for axis in (0, 1)]
     common = np.maximum(np.maximum(*lines), 1.0)
     return bulk * np.where(stand_out(ratio, n), np.maximum(ratio, common), common)
 
 
 def _far(values: Float[np.ndarray, "h w"], own: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     """Pixels that stand out of a pattern, and not by their noise alone."""
-    return np.abs(values - np.median(values)) > _FAR * np.maximum(robust_std(values), np.sqrt(own))
+    return np.abs(values - median(values)) > _FAR * np.maximum(robust_std(values), np.sqrt(own))
 
 
 def _apart(values: Float[np.ndarray, "h w"], own: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     """Pixels whose offset or noise would count as power of all."""
-    return _far(values, own) | (own > _FAR**2 * np.median(own))
+    return _far(values, own) | (own > _FAR**2 * median(own))
 
 
 class Pattern(NamedTuple):
@@ -140,13 +140,13 @@ def missing(pattern: Pattern, seed: int) -> Float[np.ndarray, "h w"]:
     """
     ours, theirs = pattern
     both = combined((ours, theirs), np.array([1.0, -1.0]))
-    centre = float(np.median(both.values))
+    centre = float(median(both.values))
     away = both.values - centre
     # Pixels that stand out of a pattern would count as power of all; those that are only noisy are not known.
     out = np.any([_far(m.values, both.own) for m in (both, ours, theirs)], 0)
     aside = out | _apart(both.values, both.own)
     waves, recorded, simulated = (
-        fft.fft2(np.where(aside, 0.0, m.values - np.median(m.values))) for m in (both, ours, theirs)
+        fft.fft2(np.where(aside, 0.0, m.values - median(m.values))) for m in (both, ours, theirs)
     )
     used = 1 - float(aside.mean())
     power, own, other = (

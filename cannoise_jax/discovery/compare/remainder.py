@@ -26,6 +26,7 @@ from cannoise_jax.mechanisms.residual import KNOTS, LIT, MAPS, RESIDUAL
 from cannoise_jax.physics.core.chain import altered_noise
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.settings import context_of, resolve
+from cannoise_jax.physics.robust import median
 from cannoise_jax.recordings.recording import CaptureSet
 
 SHARES = ("keep", *(f"left{k}" for k in range(KNOTS)))
@@ -177,7 +178,7 @@ def _still(darks: list[Part], rate: np.ndarray) -> tuple[np.ndarray, list[Part]]
     A clamp may let the level fall while charge is collected.
     """
     moving = [p for p in darks if p.contrasts]
-    shot = darks[0].gain * np.maximum(rate - min(float(np.median(rate)), 0.0), 0.0)
+    shot = darks[0].gain * np.maximum(rate - min(float(median(rate)), 0.0), 0.0)
     # Where the simulator has a pattern of its own, half of what it is off by is too much: the bulk as a whole
     # gains no more than its noise shows.
     slope, bulk = _slope(moving), _bulk(shot)

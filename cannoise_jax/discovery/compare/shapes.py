@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage, stats
 
-from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.robust import median, robust_std
 
 _WIDE = 7
 """Frequencies over which a broad shape is averaged: of 49 it is known to a seventh of one, of 7 along a line
@@ -80,7 +80,7 @@ def _singles(
         ndimage.median_filter(seen, (1, _WIDE), mode="wrap"), (_WIDE, 1), mode="wrap"
     )
     for axis in (0, 1):
-        about = np.maximum(about, np.median(seen, axis, keepdims=True))
+        about = np.maximum(about, median(seen, axis, keepdims=True))
     about = np.maximum(about / (stats.chi2.median(2 * n) / (2 * n)), 0.1)
     return (seen > (1 + limit) * about) | (seen < -limit), (about - 1) * level
 

@@ -15,7 +15,7 @@ from scipy import stats
 from cannoise_jax.discovery.compare import moves
 from cannoise_jax.discovery.compare.light import Light
 from cannoise_jax.discovery.frames.contrasts import MOST_FRAMES
-from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.robust import median, robust_std
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import Recording
 from cannoise_jax.signatures.fields import contrast_matrix, helmert
@@ -118,7 +118,7 @@ def noise_of(drawn: list[Raw], signal: Float[np.ndarray, "h w"], step: float) ->
         v = np.mean(parts, 0)
         dof = max(sum(len(r.contrasts) for r in drawn), 1)
         used = np.mean([r.usable[cell] for r in drawn], 0).ravel() > 0
-        typical = float(np.median(v))
+        typical = float(median(v))
         bins = int(np.clip(np.ptp(s) ** 2 / max(400 * typical, 1e-9), 1, 16)) if s.size else 1
         edges = np.unique(np.quantile(s, np.linspace(0, 1, bins + 1)[1:-1])) if bins > 1 else np.zeros(0)
         which = np.searchsorted(edges, s)
@@ -139,7 +139,7 @@ def noise_of(drawn: list[Raw], signal: Float[np.ndarray, "h w"], step: float) ->
 
 def _scatter(residual: np.ndarray) -> np.ndarray:
     """Squares of a single frame about its median, for want of differences in time."""
-    return ((residual - np.median(residual)) ** 2).ravel()
+    return ((residual - median(residual)) ** 2).ravel()
 
 
 _MOST_PIXELS = 0.95
@@ -155,16 +155,16 @@ def _of_most(v: np.ndarray) -> float:
 def trimmed(v: np.ndarray, dof: int) -> float:
     """Mean variance of the pixels that are like the others."""
     most = stats.chi2.isf(FAR, dof) / stats.chi2.median(dof)
-    centre, least = float(np.median(v)), 0.1 * _of_most(v)
+    centre, least = float(median(v)), 0.1 * _of_most(v)
     for _ in range(2):
         kept = v[v <= most * max(centre, least)]
-        centre = max(float(np.median(kept)), 0.5 * float(kept.mean()))
+        centre = max(float(median(kept)), 0.5 * float(kept.mean()))
     return float(kept.mean())
 
 
 def bulk_variance(v: np.ndarray, dof: int) -> float:
     """Mean variance without outlying pixels; of noise that leaves most pixels still, of nearly all."""
-    if np.median(v) > 0.3 * _of_most(v):
+    if median(v) > 0.3 * _of_most(v):
         return trimmed(v, dof)
     return float(v[v <= 60 * v.mean()].mean())
 

@@ -18,6 +18,7 @@ from cannoise_jax.physics.core.places import place
 from cannoise_jax.physics.core.sensor import Fitted, SensorModel, Settings
 from cannoise_jax.physics.core.sensor_draws import closed_moments
 from cannoise_jax.physics.core.settings import IsoTable, of_larger_gain
+from cannoise_jax.physics.robust import median
 from cannoise_jax.signatures.fields import channel_index, native
 from cannoise_jax.signatures.phasors import orthonormal, projected_out
 
@@ -91,7 +92,7 @@ def _share_of_light(
             np.asarray(closed_moments(one, np.full(channel.shape, level, np.float32), settings)[0])
             for level in (_BRIGHT, 0.0)
         )
-        signals.append(np.array([np.median((lit - dark)[channel == c]) for c in range(4)]))
+        signals.append(np.array([median((lit - dark)[channel == c]) for c in range(4)]))
     return np.clip(signals[0] / np.maximum(signals[1], 1e-9), 1 / _MOST_SHARE, _MOST_SHARE)
 
 
@@ -162,7 +163,7 @@ def _shortest_dark(prepared: Prepared, iso: float, channel: np.ndarray, model: S
     total = own_variance(_without_waves(stacked, model), channel, f.sigma.astype(np.float64) ** 2, f.mean)
     if tails is not None and -0.45 < tails < 0 and f.frames > 1:
         total = total / shown_of_tails(round(tails, 3), f.frames - 1)
-    variance = np.array([np.median(total[channel == c]) for c in range(4)]) - f.step**2 / 12
+    variance = np.array([median(total[channel == c]) for c in range(4)]) - f.step**2 / 12
     shown = f.frames > 1 and variance.min() > (0.5 * f.step) ** 2
     return f.exposure_s, variance if shown else None, len(stacked.contrasts)
 
@@ -214,4 +215,4 @@ def _closed_variance_of(
         scatter = np.random.default_rng(0).chisquare(freedom, values.shape) / freedom
         seen = values * scatter
         return np.array([ordinary_variance(seen[channel == c], freedom) for c in range(4)])
-    return np.array([np.median(values[channel == c]) for c in range(4)])
+    return np.array([median(values[channel == c]) for c in range(4)])

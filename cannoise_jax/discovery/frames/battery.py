@@ -19,6 +19,7 @@ from cannoise_jax.discovery.frames.dust import beside_dust
 from cannoise_jax.discovery.frames.simulated import drawn_black, drawn_parameters, drawn_rise
 from cannoise_jax.mechanisms import ENTRIES, signatures
 from cannoise_jax.mechanisms.entry import Entry
+from cannoise_jax.physics.robust import median
 from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, Recording, iso_numbers
 from cannoise_jax.signatures.behind_gain import BEHIND
 from cannoise_jax.signatures.code_spacing import occurrences
@@ -227,7 +228,7 @@ def stated_parameters(capture: CaptureSet, baselines: tuple[GroupBaseline, ...])
 def _smoothing(field: Fields, wide: np.ndarray, step: float) -> float:
     """Standard deviation, codes, of the normal law that smooths the histogram of these pixels at least: all
     of their noise, or of the read noise alone where that leaves the codes of single electrons apart."""
-    read = np.sqrt(np.median((field.sigma**2 * (1 - field.shot))[wide]))
+    read = np.sqrt(median((field.sigma**2 * (1 - field.shot))[wide]))
     apart = field.lit and read < ONE_ELECTRON * float(np.mean(field.gain))
     return float(read if apart else field.sigma[wide].min()) / step
 

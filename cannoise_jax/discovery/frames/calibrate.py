@@ -25,6 +25,7 @@ from cannoise_jax.discovery.frames.contrasts import (
 from cannoise_jax.discovery.frames.curve import Curve, curve_of, expected_signal, levels_of, maps_of
 from cannoise_jax.discovery.frames.full import mark_full
 from cannoise_jax.physics.core.rounding import CLEAR, COARSE, before_rounding, level_and_spread
+from cannoise_jax.physics.robust import median
 from cannoise_jax.physics.transfer.black import alike
 from cannoise_jax.physics.transfer.fit import fit_line
 from cannoise_jax.recordings.packing import SITES
@@ -257,7 +258,7 @@ def standardise(stacked: Stack, baseline: GroupBaseline, group: int) -> Fields:
 
 def most_variance(values: np.ndarray, freedom: int) -> float:
     """Variance of a pixel beyond which it is none of the others', of so many degrees of freedom."""
-    middle = np.median(values) * freedom / stats.chi2.median(freedom)
+    middle = median(values) * freedom / stats.chi2.median(freedom)
     return float(stats.chi2.isf(1e-6, freedom) / freedom * max(middle, 1e-9))
 
 

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cannoise_jax.physics.core.ranges import BRIGHTEST, DARKEST, NOT_NORMALISED, check_key
+from cannoise_jax.physics.robust import median
 from cannoise_jax.recordings.metadata import check_fields
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
 
@@ -52,7 +53,7 @@ def _check_normalised(recording: Recording) -> None:
     clean: Any = recording.clean
     if clean is None or clean.ndim not in (2, 3) or 0 in clean.shape or clean.dtype.kind not in "fiu":
         return
-    middle = float(np.median(np.asarray(clean if clean.ndim == 2 else clean[0])))
+    middle = float(median(np.asarray(clean if clean.ndim == 2 else clean[0])))
     if not DARKEST <= middle <= BRIGHTEST and np.isfinite(middle):
         place = recording.path or recording.camera
         raise BadInput(f"{place}: clean has median {middle:.4g}, {NOT_NORMALISED}")

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.robust import median, robust_std
 from cannoise_jax.recordings.codes import code_histogram, code_lattice
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK, LIT, CaptureSet, Recording
@@ -183,12 +183,12 @@ def detected_step(capture: CaptureSet) -> float:
 def ordinary(values: np.ndarray) -> np.ndarray:
     """Which values lie within six robust standard deviations of their median. Where most of them are one
     code, those that are not tell the spread: without them the mean would be that code."""
-    centre = np.median(values)
+    centre = median(values)
     away = np.abs(values - centre)
     spread = robust_std(values, centre)
     if spread < 1e-6:
         others = away[away > 1e-6]
-        spread = float(np.median(others)) if others.size else 1e-6
+        spread = float(median(others)) if others.size else 1e-6
     return away < 6 * spread
 
 

@@ -26,6 +26,7 @@ from cannoise_jax.discovery.frames.contrasts import (
 )
 from cannoise_jax.discovery.frames.full import unshared
 from cannoise_jax.discovery.frames.smooth import smooth_mean
+from cannoise_jax.physics.robust import median
 from cannoise_jax.physics.transfer.fit import HALF_A_CODE, ChannelMaps, median_quotient, robust_mean_square
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK, mosaic_map
@@ -102,10 +103,10 @@ def _levels(curve: Curve, c: int, black: float, start: tuple[np.ndarray, np.ndar
             continue
         x, v, u = curve.signal[at][chosen], stacked.variance[at][chosen], curve.alone[at][chosen]
         if start is None:
-            mean, number = float(np.median(v)) / median_quotient(n), v.size / 2
+            mean, number = float(median(v)) / median_quotient(n), v.size / 2
         else:
             expected = start[1][c] ** 2 + rounding + start[0][c] * np.maximum(x, 0)
-            expected *= max(float(np.median(v / expected)) / median_quotient(n), 0.2)
+            expected *= max(float(median(v / expected)) / median_quotient(n), 0.2)
             mean, kept = robust_mean_square(v, n, expected, rounding)
             number, x = int(kept.sum()), x[kept]
         # Near the rail the noise decides which pixels clip: the rest would be a biased sample.
@@ -113,7 +114,7 @@ def _levels(curve: Curve, c: int, black: float, start: tuple[np.ndarray, np.ndar
             continue
         error = max(mean, rounding) * np.sqrt(2 / (n * number))
         sure = mean > 4 * rounding and not noisy_reference(stacked.recording)
-        alone = float(u[u < far * max(float(np.median(u)) / median_quotient(n), lattice)].mean())
+        alone = float(u[u < far * max(float(median(u)) / median_quotient(n), lattice)].mean())
         out.append(
             Level(
                 recording=stacked.number,

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from cannoise_jax.discovery.frames.contrasts import Stack, robust_mean
-from cannoise_jax.physics.robust import NOISE_OF_MEDIAN, robust_std
+from cannoise_jax.physics.robust import NOISE_OF_MEDIAN, median, robust_std
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK, Recording
 
@@ -54,8 +54,8 @@ def lines_of(dark: Stack) -> Float[np.ndarray, "h w"] | None:
     for at in SITES:
         left = dark.mean[at].astype(np.float64) - robust_mean(dark.mean[at])
         for axis in (1, 0):
-            offsets = np.median(left, axis)
-            moving = [np.var(np.median(c[at], axis)) for c in dark.contrasts]
+            offsets = median(left, axis)
+            moving = [np.var(median(c[at], axis)) for c in dark.contrasts]
             chance = NOISE_OF_MEDIAN * robust_std(left, 0) ** 2 / left.shape[axis]
             chance += float(np.mean(moving)) / dark.frames
             share = 1 - chance / max(float(np.var(offsets)), 1e-30)

@@ -19,6 +19,7 @@ from cannoise_jax.discovery.frames.dark_lines import Known, lines_for, lines_of
 from cannoise_jax.discovery.frames.threads import each
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
 from cannoise_jax.physics.core.settings import settings_of
+from cannoise_jax.physics.robust import median
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.signatures.fields import Fields, frame_fields, native, referred
 
@@ -91,11 +92,11 @@ def _off(field: Fields, drawn: np.ndarray) -> Float[np.ndarray, "h w"] | None:
     for at in SITES:
         sigma, kept = field.sigma[at] / np.sqrt(len(drawn)), field.usable[at]
         away = mean[at] - field.mean[at]
-        middle = np.median(away[kept]) if kept.any() else 0.0
+        middle = median(away[kept]) if kept.any() else 0.0
         # A pixel of its own, hot or dead, is no light.
         held = np.where(kept, np.clip(away, middle - _FAR * sigma, middle + _FAR * sigma), middle)
         off[at] = -ndimage.uniform_filter(held, _AROUND, mode="nearest")
-        error = float(np.median(sigma)) / np.sqrt(max(kept.sum(), 1))
+        error = float(median(sigma)) / np.sqrt(max(kept.sum(), 1))
         missed |= misses(float(held.mean()), error, float(field.signal[at].mean()))
     return off if missed else None
 

@@ -7,6 +7,7 @@ from jaxtyping import Float
 from scipy import optimize
 
 from cannoise_jax.discovery.frames.contrasts import Stack, steady
+from cannoise_jax.physics.robust import median
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.signatures.recorded import Level
 
@@ -91,6 +92,6 @@ def unshared(stacked: Stack, signal: Float[np.ndarray, "h w"]) -> Float[np.ndarr
         for contrast in stacked.contrasts[:, *at]:
             modes = np.fft.rfft2(steady(contrast, signal[at]))
             power = np.abs(modes) ** 2
-            modes[power > _STANDS_OUT * np.median(power) / np.log(2)] = 0
+            modes[power > _STANDS_OUT * median(power) / np.log(2)] = 0
             out[at] += np.fft.irfft2(modes, contrast.shape) ** 2
     return out / max(len(stacked.contrasts), 1)

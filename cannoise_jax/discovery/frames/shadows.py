@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
-from cannoise_jax.physics.robust import local_median, robust_std
+from cannoise_jax.physics.robust import local_median, median, robust_std
 
 _PEAK, _EDGE = 5.0, 3.0
 """Robust standard deviations of a scale that a patch has at its peak, and all around it: of normal values one
@@ -72,8 +72,8 @@ def _shadows(
     for _ in range(_ROUNDS):
         coarse = _smooth(weight * (limited - fitted), 1) / total
         # Lines are others' to tell, and their pieces are no patches.
-        coarse -= np.median(coarse, 1, keepdims=True)
-        coarse -= np.median(coarse, 0, keepdims=True)
+        coarse -= median(coarse, 1, keepdims=True)
+        coarse -= median(coarse, 0, keepdims=True)
         any_found = False
         for scale in scales:
             smoother = _smooth(coarse, scale)

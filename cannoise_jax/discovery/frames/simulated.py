@@ -10,7 +10,7 @@ from jaxtyping import Float
 from cannoise_jax.discovery.frames.calibrate import fit_baseline, ordinary_variance
 from cannoise_jax.discovery.frames.contrasts import robust_mean, stack
 from cannoise_jax.physics.core.rounding import before_cut
-from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.robust import median, robust_std
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK, CaptureSet
 from cannoise_jax.signatures.levels import STANDS_OUT, slope_of
@@ -89,7 +89,7 @@ def _uncut(level: float, frames: np.ndarray, step: float) -> float:
 def _level(frames: np.ndarray) -> tuple[float, float]:
     """Mean of the pixels that are not hot, DN, and its variance: of their noise, or of that of the frames."""
     mean, noise = frames.mean(0), float(np.mean(frames.var(0)))
-    away = np.abs(mean - np.median(mean))
+    away = np.abs(mean - median(mean))
     even = frames[:, away < STANDS_OUT * max(robust_std(mean), np.sqrt(noise / len(frames)), 1e-6)]
     of_frames = float(even.mean(1).var(ddof=1)) / len(frames) if len(frames) > 1 else 0.0
     return float(even.mean()), max(noise / even.size, of_frames, 1e-12)

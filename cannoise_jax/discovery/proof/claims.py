@@ -27,6 +27,7 @@ from cannoise_jax.discovery.compare.table import lines_of
 from cannoise_jax.discovery.proof.own_part import Borne, drawn_structures, own_part
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
+from cannoise_jax.physics.robust import median
 from cannoise_jax.signatures import bank
 from cannoise_jax.signatures.events import by_exposure
 from cannoise_jax.signatures.fields import Fields, channel_index, quoted_at
@@ -95,7 +96,7 @@ def lasting(step: Step) -> Doubt | None:
         doubt = np.broadcast_to(np.asarray(found.doubt, np.float64), np.shape(found.pattern)).ravel()
         doubt = np.maximum(doubt, 1e-9 * claimed)
         own = np.ravel(found.pattern) / doubt, np.maximum(1 / doubt - 1 / claimed, 0.0)
-        if np.median(own[1]) * claimed < _SHOWN:
+        if median(own[1]) * claimed < _SHOWN:
             continue
         sums.append((field.lit, *_apart(*own, _channels(field, np.shape(found.pattern)))))
     if len(sums) < 2:

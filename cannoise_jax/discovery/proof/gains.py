@@ -10,6 +10,7 @@ from scipy import stats
 from cannoise_jax.discovery.frames.blocks import bands, frame_blocks, leave_out
 from cannoise_jax.discovery.frames.threads import each
 from cannoise_jax.discovery.proof.heldout import Scored
+from cannoise_jax.physics.robust import median
 from cannoise_jax.signatures.fields import Fields, without_pixels
 from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import Signature
@@ -84,7 +85,7 @@ def at_most_twice(with_it: Scored, without: Scored) -> tuple[Scored, Scored]:
         values = with_it.parts - without.parts
     for r in np.unique(with_it.recording):
         own = with_it.recording == r
-        values[own] = np.minimum(values[own], 2 * max(float(np.median(values[own])), 0.0))
+        values[own] = np.minimum(values[own], 2 * max(float(median(values[own])), 0.0))
     none = np.zeros_like(values)
     if values.ndim == 1:
         return with_it._replace(log_prob=values, parts=None), without._replace(log_prob=none, parts=None)

@@ -13,6 +13,7 @@ import numpy as np
 from cannoise_jax.discovery.proof.white_maps import NOISE, noisy_halves
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
+from cannoise_jax.physics.robust import median
 from cannoise_jax.signatures.known_shape import darks
 from cannoise_jax.signatures.shape import HEAVY, one_noise
 
@@ -107,10 +108,10 @@ def shared_lines(step: Step) -> Doubt | None:
     pairs = known[:-1] & known[1:]
     together = np.sqrt(np.maximum(beyond[:-1], 0) * np.maximum(beyond[1:], 0)) * pairs
     alike = product[:-1] / np.maximum(number[:-1], 1) / level
-    alike = np.where(pairs, alike - np.median(alike[pairs]), 0.0)
+    alike = np.where(pairs, alike - median(alike[pairs]), 0.0)
     power_of = float(np.sum(together**2))
     share = float(np.sum(alike * together)) / max(power_of, 1e-30)
-    error = 1 / np.sqrt(float(np.median(number[known])) * max(power_of, 1e-30))
+    error = 1 / np.sqrt(float(median(number[known])) * max(power_of, 1e-30))
     if share < max(_SURE * error, _SHARE):
         return None
     share = min(share, 1.0)

@@ -18,6 +18,7 @@ from scipy import ndimage, stats
 
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
+from cannoise_jax.physics.robust import median
 from cannoise_jax.signatures import bank
 from cannoise_jax.signatures.handed import Many
 from cannoise_jax.signatures.pixels import read_share
@@ -163,7 +164,7 @@ def _of_waves(one: Float[np.ndarray, "h w"], two: Float[np.ndarray, "h w"], nois
     cross = _smoothed((first * second.conj()).real)
     apart = float(np.mean(np.abs(first - second) ** 2)) / 2
     local = ~_whole_or_smooth(one.shape, noise)
-    alone = float(np.median(cross[local]))
+    alone = float(median(cross[local]))
     # Of all frequencies: single pixels have as much at those of whole lines and of light.
     every = alone + float(np.sum(cross[local] - alone)) / cross.size
     scatter = apart**2 + 2 * max(every, 0.0) * apart
@@ -182,7 +183,7 @@ def _of_lines(one: Float[np.ndarray, "h w"], two: Float[np.ndarray, "h w"]) -> f
     repeats has it; 0 where there are none. Whole lines and light aside."""
     first, second = (np.fft.fft2(m - m.mean()) / np.sqrt(m.size) for m in (one, two))
     power, cross = np.abs(first + second) ** 2, (first * second.conj()).real
-    beside = _smoothed(np.minimum(power, _CAPPED * np.median(power)))
+    beside = _smoothed(np.minimum(power, _CAPPED * median(power)))
     out = power > (np.log(power.size) + _IN_A_LINE) * beside
     down, across = (np.abs(np.fft.fftfreq(n, 1 / n)) for n in power.shape)
     out &= (down[:, None] > _SMOOTH) | (across > _SMOOTH)

@@ -15,6 +15,7 @@ from scipy import stats
 
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
+from cannoise_jax.physics.robust import median
 from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.signatures.codes import COMB
 
@@ -41,7 +42,7 @@ def in_few_lines(step: Step, capture: CaptureSet, chosen: Sequence[Sequence[int]
         # Counts of three residues of all: by chance what as many values at random have.
         spread = np.sqrt(1.5 / period / number[seen])
         uneven = float(np.sum(((share - whole) / spread) ** 2))
-        typical = float(np.median(share)) * np.sign(whole)
+        typical = float(median(share)) * np.sign(whole)
         if typical > _TYPICAL * abs(whole) or stats.chi2.sf(uneven, seen.sum() - 1) > _CHANCE:
             continue
         few = int(np.sum(share * np.sign(whole) > abs(whole)))

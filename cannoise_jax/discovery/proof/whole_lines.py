@@ -19,6 +19,7 @@ from scipy import stats
 
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
+from cannoise_jax.physics.robust import median
 from cannoise_jax.signatures.fields import Fields
 
 _PARTS = 4
@@ -65,7 +66,7 @@ def of_parts(step: Step, products: Callable[[Fields], Float[np.ndarray, "n k"]])
     each, variance = values.mean(1), values.var(1) / values.shape[1]
     mean = float(each.mean())
     uneven = float(np.sum((each - mean) ** 2 / np.maximum(variance, 1e-300)))
-    return Parts(each, mean, float(np.median(each)), float(stats.chi2.sf(uneven, len(each) - 1)))
+    return Parts(each, mean, float(median(each)), float(stats.chi2.sf(uneven, len(each) - 1)))
 
 
 def _products(field: Fields, axis: int) -> Float[np.ndarray, "6 k"]:

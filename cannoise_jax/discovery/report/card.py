@@ -27,6 +27,8 @@ from cannoise_jax.signatures.signature import Signature
 
 _POWERS = (0.0, 0.5, 1.0, 2.0)
 """Of the signal, tried for an amplitude: no growth, as shot noise, in proportion, and as its square."""
+_RIVALS = 6
+"""Signatures that are asked anew for the nearest mechanism: those with most evidence when it was found."""
 _NEAR = 2
 """Lags up to which the correlations of neighbours are listed."""
 
@@ -228,6 +230,9 @@ def _nearest_beside(
     told = {n for o in others if o is not step for n in (o.named.signature.name, *o.named.signature.covers)}
     own = step.named.signature.name
     asked = [p for p in signatures if p.mechanism in ids and p.name not in told and p.name != own]
+    if step.rivals:  # to ask all of them anew took a tenth of a diagnosis
+        seen = [p for p in asked if p.name in step.rivals]
+        asked = sorted(seen, key=lambda p: -step.rivals[p.name])[:_RIVALS]
     best, name = 0.0, None
     for signature, score in zip(asked, each(lambda s: s.score(step.before), asked), strict=True):
         if score is not None and score.evidence > best:

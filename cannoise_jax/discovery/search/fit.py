@@ -7,7 +7,8 @@ sooner, but no frame is left to confirm it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence, Set
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -37,13 +38,14 @@ class Step(NamedTuple):
     """One accepted mechanism, the fields before it was taken out, and the family-wise log p of its signature
     with all other accepted mechanisms in the model; of one that is kept for what would be found in its stead,
     as it was accepted. late: it took all frames together to see it. left: the fields with everything taken
-    out that was accepted."""
+    out that was accepted. rivals: evidence of the other signatures when it was accepted."""
 
     named: Named
     before: tuple[Fields, ...]
     log_p: float
     late: bool = False
     left: tuple[Fields, ...] = ()
+    rivals: Mapping[str, float] = MappingProxyType({})
 
 
 class Search(NamedTuple):
@@ -137,7 +139,7 @@ def stepwise(
                 return Fitted(tuple(s._replace(left=fields) for s in charged), fields, last, first)
             named, log_p = late
             tell(f"step {len(steps) + 1}, all frames: {named.mechanism} ({named.signature.name})")
-            steps.append(Step(named, fields, log_p, late=True))
+            steps.append(Step(named, fields, log_p, late=True, rivals=_evidence(last)))
             fields = without(named, fields, fields)
             last = locate(fields, _active(signatures, steps, given_up), first.tests)
             continue
@@ -234,7 +236,8 @@ def _forward(
             continue
         search.tell(f"step {len(steps) + 1}: {named.mechanism} ({named.signature.name})")
         previous, before = fields, steps
-        steps, fields = _accepted(before, Step(named, fields, located.log_p[named.signature.name]))
+        found = Step(named, fields, located.log_p[named.signature.name], rivals=_evidence(located))
+        steps, fields = _accepted(before, found)
         active = _active(search.signatures, steps, given_up)
         same = known(located, previous, fields, active)
         # What was not rejected while more was taken out may be now.
@@ -247,6 +250,10 @@ def _forward(
         }
         old = {s.name for s in active if s.name in old} | put_off.keys()
         located = locate(fields, active, search.tests, {**same, **put_off})
+
+
+def _evidence(located: Located) -> dict[str, float]:
+    return {name: score.evidence for name, score in located.scores.items()}
 
 
 def _accepted(steps: list[Step], new: Step) -> tuple[list[Step], tuple[Fields, ...]]:

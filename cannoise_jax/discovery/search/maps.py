@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import Named
+from cannoise_jax.physics.robust import median
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures import joint
@@ -54,7 +55,7 @@ def _levels_of_sites(fields: tuple[Fields, ...]) -> Float[np.ndarray, "h w"]:
     out = np.zeros(fields[0].mean.shape)
     if len(set(seconds)) < 2:
         return out
-    levels = np.array([[np.median(f.mean[at]) - f.black[c] for c, at in enumerate(SITES)] for f in darks])
+    levels = np.array([[median(f.mean[at]) - f.black[c] for c, at in enumerate(SITES)] for f in darks])
     beyond = levels - levels.mean(1, keepdims=True)
     slope = np.polyfit(seconds, beyond, 1, w=np.sqrt([f.frames for f in darks]))[0]
     for c, at in enumerate(SITES):

@@ -19,7 +19,7 @@ from cannoise_jax.discovery.frames.contrasts import Stack, ordinary, robust_mean
 from cannoise_jax.discovery.search.dark_level import stored_dark
 from cannoise_jax.mechanisms.pedestal import LEVELS, PEDESTAL
 from cannoise_jax.physics.core.sensor import SensorModel, Settings
-from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.robust import median, robust_std
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK
 
@@ -85,4 +85,4 @@ def _scatter(darks: list[Stack]) -> Float[np.ndarray, "4"] | None:
         return None
     square = np.square(np.reshape(moved, (-1, len(SITES))))
     # Of few frames the median square would be chance; one that jumps must not hide what all share.
-    return np.sqrt(np.maximum(np.minimum(square, 25 * np.median(square, 0)).mean(0), 1e-12))
+    return np.sqrt(np.maximum(np.minimum(square, 25 * median(square, 0)).mean(0), 1e-12))

@@ -19,6 +19,7 @@ from cannoise_jax.physics.core.grammar import Point, contradiction
 from cannoise_jax.physics.core.mechanism import Mechanism, Parameter, Scaling
 from cannoise_jax.physics.core.setting_numbers import check_numbers
 from cannoise_jax.physics.core.settings import Fitted, IsoTable, Settings
+from cannoise_jax.physics.robust import median
 from cannoise_jax.recordings.recording import CFA_PATTERNS, LEAST, MOST, in_one_line
 
 LARGEST = float(np.finfo(np.float32).max)
@@ -256,7 +257,7 @@ def check_taken(clean: Any, settings: Settings) -> None:
 
 
 def _check_normalised(clean: np.ndarray) -> None:
-    middle, least, most = float(np.median(clean)), float(clean.min()), float(clean.max())
+    middle, least, most = float(median(clean)), float(clean.min()), float(clean.max())
     if most > BRIGHTEST and np.array_equal(clean, np.rint(clean)):
         raise ValueError(f"clean holds whole numbers up to {most:.4g}, {NOT_NORMALISED}")
     if middle > BRIGHTEST or least < DARKEST:

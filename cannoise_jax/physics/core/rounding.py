@@ -11,6 +11,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy import optimize, special
 
+from cannoise_jax.physics.robust import median
+
 _REACH = 12
 """Codes on both sides that are summed over, besides eight standard deviations."""
 _NODES = 25
@@ -69,7 +71,7 @@ def level_and_spread(
 ) -> tuple[float, float]:
     """Mean of the ordinary pixels' means over `frames` frames, DN, and standard deviation of their offsets
     once noise of this temporal variance, DN^2, is taken out."""
-    near = means[np.abs(means - np.median(means)) < 6 * max(np.sqrt(variance), step)]
+    near = means[np.abs(means - median(means)) < 6 * max(np.sqrt(variance), step)]
     return float(near.mean()), float(np.sqrt(max(float(near.var()) - variance / frames, 0.0)))
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
-from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.robust import median, robust_std
 from cannoise_jax.recordings.metadata import chunks
 from cannoise_jax.recordings.packing import site
 
@@ -76,7 +76,7 @@ def _columns(
         if count < _LEAST_BLOCKS or width < 2 * _ABOUT:
             continue
         edges = np.linspace(0, height, count + 1).astype(int)
-        level = np.stack([np.median(values[a:b], axis=0) for a, b in zip(edges[:-1], edges[1:], strict=True)])
+        level = np.stack([median(values[a:b], axis=0) for a, b in zip(edges[:-1], edges[1:], strict=True)])
         left, right = _beside(level)
         about = (left + right) / 2
         apart = level - about
@@ -97,7 +97,7 @@ def _beside(level: Float[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
     """The medians of the columns to the left and to the right of each; beyond the first and the last ones a
     straight line through those inside stands."""
     half, width = _ABOUT // 2, level.shape[1]
-    of_four = np.median(np.lib.stride_tricks.sliding_window_view(level, half, axis=1), axis=-1)
+    of_four = median(np.lib.stride_tricks.sliding_window_view(level, half, axis=1), axis=-1)
     left, right = np.empty(level.shape), np.empty(level.shape)
     left[:, half:], right[:, : width - half] = of_four[:, : width - half], of_four[:, 1:]
     left[:, :half] = 2 * right[:, :half] - of_four[:, half + 1 : 2 * half + 1]
@@ -147,8 +147,8 @@ def told(mean: Float[np.ndarray, "H W"], bad: Bool[np.ndarray, "H W"], black: fl
         rows = np.flatnonzero(bad[:, x])
         beside = [v for k in range(2, _ABOUT, 2) for v in (x - k, x + k) if 0 <= v < mean.shape[1]]
         others = [mean[rows, v] for v in beside if not bad[rows, v].any()]
-        usual = float(np.median(others)) if others else float(np.median(mean))
-        own = float(np.median(mean[rows, x]))
+        usual = float(median(others)) if others else float(median(mean))
+        own = float(median(mean[rows, x]))
         ratio = (own - black) / max(usual - black, 1e-9)
         found.append(BadLine(int(x) + 1, (int(rows[0]) + 1, int(rows[-1]) + 1), own - usual, ratio))
     return tuple(found)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 
 _FRAMES, _SIDE = 4, 1024
@@ -41,10 +42,10 @@ def clamped(s: FrameStatistics | None) -> str:
         above += int(np.sum((frame > ndimage.maximum_filter(frame, footprint=about)) & usable))
         below += int(np.sum((frame < ndimage.minimum_filter(frame, footprint=about)) & usable))
     pixels = int(usable.sum()) * min(_FRAMES, s.recording.count)
-    noise = float(np.sqrt(np.median(s.variance)))
+    noise = float(np.sqrt(median(s.variance)))
     # Where the light changes by more than the noise from pixel to pixel neither side shows.
     slopes = (np.abs(s.mean[:, step:] - s.mean[:, :-step]), np.abs(s.mean[step:] - s.mean[:-step]))
-    broad = noise > max(_BROAD * s.code_step, *(float(np.median(slope)) for slope in slopes))
+    broad = noise > max(_BROAD * s.code_step, *(float(median(slope)) for slope in slopes))
     one_side = min(above, below) < _FEWER * max(above, below) and max(above, below) > _LEAST_PIXELS
     neither = broad and above + below < 2 * _NEITHER * pixels and pixels > 10 * _LEAST_PIXELS
     if not one_side and not neither:

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from scipy import stats
 
 from cannoise_jax.physics.core.rounding import mean_bias, variance_bias
-from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.robust import median, robust_std
 from cannoise_jax.physics.transfer.black import mean_error
 from cannoise_jax.physics.transfer.dark_pixels import FAR, above_level, law_of
 from cannoise_jax.physics.transfer.estimate import Z90, Estimate, NotMeasurable, normal_estimate
@@ -127,7 +127,7 @@ def _mean_variance(
     if s.shot is not None:
         # Scaled, so that the scatter of a variance stays what its frames make it.
         shot = site(s.shot, channel)
-        base = max(float(np.median(variance - shot)), s.code_step**2 / 12)
+        base = max(float(median(variance - shot)), s.code_step**2 / 12)
         variance = variance * base / (base + shot)
     if alike:
         value, kept = robust_mean_square(variance[keep], s.dof)
@@ -153,7 +153,7 @@ def _ordinary(
     if law.shape:
         return ~law.is_hot(grown) & ~law.far_above(grown), False
     mean = site(longest.mean, channel)
-    middle = float(np.median(mean))
+    middle = float(median(mean))
     return mean < middle + FAR * robust_std(mean, middle), True
 
 
@@ -166,7 +166,7 @@ def unlike_charge(darks: Sequence[FrameStatistics], channel: int) -> str:
     for s in ends:
         noise = usual_variance(s, channel) / s.recording.count
         mean = site(s.mean, channel)
-        patterns.append(max(robust_std(mean, float(np.median(mean))) ** 2 - noise, noise) ** 0.5)
+        patterns.append(max(robust_std(mean, float(median(mean))) ** 2 - noise, noise) ** 0.5)
     if patterns[1] < _UNLIKE * patterns[0]:
         return ""
     said = [f"{p:.3g} DN at {s.recording.exposure_s:g} s" for p, s in zip(patterns, ends, strict=True)]

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import interpolate, optimize, special, stats
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.physics.transfer.blurred import blur, spaced
 
 FAR = 6.0
@@ -221,11 +222,11 @@ def above_level(charge: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "H W"]:
         return charge
     rows = np.array_split(np.arange(height), down)
     columns = np.array_split(np.arange(width), across)
-    levels = np.array([[np.median(charge[np.ix_(r, c)]) for c in columns] for r in rows])
+    levels = np.array([[median(charge[np.ix_(r, c)]) for c in columns] for r in rows])
     centres = tuple(np.array([part.mean() for part in parts]) for parts in (rows, columns))
     between = interpolate.RegularGridInterpolator(centres, levels, bounds_error=False, fill_value=None)
     smooth = np.stack([between((y, np.arange(width))) for y in range(height)])
-    return charge - smooth + float(np.median(levels))
+    return charge - smooth + float(median(levels))
 
 
 def _shape(values: np.ndarray) -> float:

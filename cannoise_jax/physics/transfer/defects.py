@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool
 from scipy import ndimage
 
-from cannoise_jax.physics.robust import local_median
+from cannoise_jax.physics.robust import local_median, median
 from cannoise_jax.physics.transfer.bad_lines import told
 from cannoise_jax.physics.transfer.estimators.dead import dead_of
 from cannoise_jax.physics.transfer.estimators.pick import brightest_flat
@@ -127,7 +127,7 @@ def spots_line(statistics: Sequence[FrameStatistics]) -> str:
 
 def _stuck(s: FrameStatistics, side: int) -> Bool[np.ndarray, "H W"]:
     """Pixels that are stuck above (1) or below (-1) the level."""
-    return at_an_end(s) & (side * (s.mean - float(np.median(s.mean))) > 0)
+    return at_an_end(s) & (side * (s.mean - float(median(s.mean))) > 0)
 
 
 def _always(masks: Sequence[Bool[np.ndarray, "H W"]]) -> Bool[np.ndarray, "H W"] | None:

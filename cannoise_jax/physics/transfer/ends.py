@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.robust import median, robust_std
 from cannoise_jax.recordings.packing import site
 
 _AWAY = 8.0
@@ -30,7 +30,7 @@ def stuck_pixels(frame: Float[np.ndarray, "H W"], seen: Extremes, step: float) -
     out = np.zeros(frame.shape, bool)
     for c in range(4):
         low, high, values = site(seen.low, c), site(seen.high, c), site(frame, c)
-        middle = float(np.median(values))
+        middle = float(median(values))
         room = _AWAY * (robust_std(values, middle) + step)
         for end, beyond in ((low.min(), middle - low.min()), (high.max(), high.max() - middle)):
             there = (low == end) & (high == end)

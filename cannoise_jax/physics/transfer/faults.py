@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import numpy as np
-
+from cannoise_jax.physics.robust import median
 from cannoise_jax.physics.transfer.black import flat_seconds, reference_dark, stand_in
 from cannoise_jax.physics.transfer.defects import bad_line, defects_line, shadows_line, spots_line
 from cannoise_jax.physics.transfer.estimate import NotMeasurable
@@ -106,7 +105,7 @@ def faults(statistics: Sequence[FrameStatistics], lines: Sequence[Line | NotMeas
 def _above_white(statistics: Sequence[FrameStatistics]) -> str:
     dark = reference_dark(statistics)
     white = 0.0 if dark is None else dark.recording.white_level
-    if dark is None or dark.clipped.mean() < _MOST or float(np.median(dark.mean)) < white / 2:
+    if dark is None or dark.clipped.mean() < _MOST or float(median(dark.mean)) < white / 2:
         return ""
     return (
         f"{dark.recording.path or dark.recording.camera}: most pixels of the darks reach the white level "

@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import stats
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.physics.transfer.estimate import Estimate, jackknife_estimate
 
 _RARE = 1e-4
@@ -93,7 +94,7 @@ def robust_mean_square(
     """Mean temporal variance by the outlier rule, and the pixels kept. expected: the fitted variance; where
     none is known, the median's. rounding: see `fit_line`."""
     if expected is None:
-        expected = float(np.median(variance)) / median_quotient(dof)
+        expected = float(median(variance)) / median_quotient(dof)
     cut, loss = cut_and_loss(dof)
     keep = variance <= cut * np.maximum(expected, max(HALF_A_CODE * rounding, 1e-12))
     return float(variance[keep].mean()) / loss, keep
@@ -147,7 +148,7 @@ def _start(levels: list[ChannelMaps]) -> tuple[float, float]:
             continue
         classes = 1 if level.known_signal else 16
         for part in np.array_split(np.argsort(signal, kind="stable"), classes):
-            points.append((signal[part].mean(), np.median(variance[part]) / median_quotient(level.dof)))
+            points.append((signal[part].mean(), median(variance[part]) / median_quotient(level.dof)))
     x, y = np.array(points).reshape(-1, 2).T
     if len(x) < 2 or np.ptp(x) == 0:
         return np.nan, np.nan
@@ -156,8 +157,8 @@ def _start(levels: list[ChannelMaps]) -> tuple[float, float]:
     if slope <= 0:
         low = int(np.argmin(x))
         apart = x - x[low]
-        far = apart > _APART * (np.median(apart) or np.ptp(x))
-        slope = float(np.median((y[far] - y[low]) / apart[far]))
+        far = apart > _APART * (median(apart) or np.ptp(x))
+        slope = float(median((y[far] - y[low]) / apart[far]))
         offset = float(y[low] - slope * x[low])
     offset = offset if offset > 0 else max(float(y.min()) * 0.5, 1e-6)
     return max(float(slope), 1e-6), float(offset)

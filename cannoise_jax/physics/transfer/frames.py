@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.robust import median, robust_std
 from cannoise_jax.physics.transfer.bad_lines import BadLines, bad_lines, line_means_without
 from cannoise_jax.physics.transfer.ends import Extremes, lowest_share, rails, stuck_pixels, without_stuck
 from cannoise_jax.physics.transfer.hits import Hits, without_hits
@@ -184,7 +184,7 @@ def frame_statistics(recording: Recording, rounds: int = 2) -> FrameStatistics:
     bad = None
     if variance is not None and recording.kind != "scene":
         black = np.asarray(recording.black_level) if relative else None
-        least = max(float(np.sqrt(np.median(variance))), step)
+        least = max(float(np.sqrt(median(variance))), step)
         bad = bad_lines(mean, least, black, stuck)
         if bad is not None:
             stuck = stuck | bad.pixels
@@ -223,7 +223,7 @@ def _filled(variance: Float[np.ndarray, "H W"], stuck: Bool[np.ndarray, "H W"]) 
     if stuck.any():
         for c in range(4):
             values, held = site(variance, c), site(stuck, c)
-            values[held] = np.median(values[~held])
+            values[held] = median(values[~held])
     return variance
 
 

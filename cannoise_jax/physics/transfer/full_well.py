@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.views import pixel_variance
 
@@ -36,7 +37,7 @@ def full_signal(lit: Sequence[FrameStatistics], c: int) -> float:
 
 def _noise(s: FrameStatistics, c: int) -> float:
     variance = pixel_variance(s, c).ravel()
-    return float(np.median(variance[:: max(variance.size // _ENOUGH, 1)]))
+    return float(median(variance[:: max(variance.size // _ENOUGH, 1)]))
 
 
 def full_codes(statistics: Sequence[FrameStatistics]) -> list[float]:

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage, stats
 
-from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.robust import median, robust_std
 from cannoise_jax.recordings.lazy import LazyArray
 from cannoise_jax.recordings.metadata import chunks
 from cannoise_jax.recordings.packing import site
@@ -133,7 +133,7 @@ def _seen(recording: Recording) -> tuple[_Places, Float[np.ndarray, "n"]] | None
     areas: dict[int, np.ndarray] = {}
     for number in map(int, np.flatnonzero(shares)):
         rest = _frame(recording, number) - up.mean
-        areas[number] = _area(rest - np.median(rest), noise, far & (up.frame == number))
+        areas[number] = _area(rest - median(rest), noise, far & (up.frame == number))
     taken = {number: np.flatnonzero(area) for number, area in areas.items()}
     places: _Places = {}
     charges: list[np.ndarray] = []
@@ -195,11 +195,11 @@ def _extremes(recording: Recording) -> tuple[Callable[[], _Rest], Callable[[], _
     total, square = np.zeros(size), np.zeros(size)
     most, least = (np.full((spared, *size), sign * np.inf) for sign in (-1, 1))
     highest, lowest = (np.zeros(size, np.int32) for _ in range(2))
-    level = float(np.median(np.asarray(recording.frames[:1])))
+    level = float(median(np.asarray(recording.frames[:1])))
     at = 0
     for part in chunks(recording.frames, _CHUNK_BYTES):
         for frame in part:
-            values = frame - float(np.median(frame))
+            values = frame - float(median(frame))
             total += values
             square += values**2
             highest[values > most[0]] = at
@@ -231,10 +231,10 @@ def _noise(recording: Recording, rest: _Rest, step: float) -> Float[np.ndarray, 
     for c in range(4):
         bulk = max(robust_std(site(change, c)) ** 2 / 2, step**2 / 4)
         mean, own = site(rest.mean, c), site(rest.variance, c)
-        middle = float(np.median(own))
+        middle = float(median(own))
         own = own * (bulk / middle if middle > 0 else 1.0)  # the highest are not among them
         # Of a pixel below the level as of one above: telegraph pixels are either, and have to look alike.
-        channels.append((bulk, own, np.abs(mean - np.median(mean))))
+        channels.append((bulk, own, np.abs(mean - median(mean))))
     known = [charge > _HOT * np.sqrt(bulk) for bulk, _, charge in channels]
     slopes = [
         (own - bulk)[hot] / charge[hot] for (bulk, own, charge), hot in zip(channels, known, strict=True)
@@ -251,7 +251,7 @@ def _shot(own: np.ndarray, every: np.ndarray, sigma: float) -> float:
     channels; where those are too few, so much that none of them passes for hit."""
     for slopes in (own, every):
         if len(slopes) >= _FEWEST_HOT:
-            return max(float(np.median(slopes)), 0.0)
+            return max(float(median(slopes)), 0.0)
     return _SHOT * sigma
 
 

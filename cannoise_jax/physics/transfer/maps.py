@@ -24,6 +24,7 @@ from cannoise_jax.physics.core.chain import mechanism_key
 from cannoise_jax.physics.core.poisson_gaussian import sample_normal
 from cannoise_jax.physics.core.sensor import Fitted, SensorModel, Settings
 from cannoise_jax.physics.core.settings import black_levels, of_larger_gain, with_black_levels
+from cannoise_jax.physics.robust import median
 from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.estimate import NotMeasurable, root
 from cannoise_jax.physics.transfer.estimator import Estimator
@@ -237,7 +238,7 @@ def offsets(values: Mapping[str, Any], seen: Seen) -> dict[str, np.ndarray]:
     noise = found.noise + jumps.of_mean
     field = _of_pixels(found, values["sigma_dn"], noise, 1.0, rest)
     # Of a pixel far out nothing is noise, and of a hot one everything is its heat.
-    out = (dark.mean - np.median(dark.mean)) / values["sigma_dn"]
+    out = (dark.mean - median(dark.mean)) / values["sigma_dn"]
     far = np.abs(out) * values["sigma_dn"] > 6 * np.sqrt(noise)
     field = np.where(found.keep, field, np.where(far, out, rest))
     hot = seen.earlier(_is_heat)

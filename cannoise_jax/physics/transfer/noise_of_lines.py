@@ -8,6 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import stats
 
+from cannoise_jax.physics.robust import median
+
 Line = Literal["row", "column"]
 _PARTS = 8
 """Pieces of a line, whose scatter says how well its noise is known: whatever the pixels' own noise is, and
@@ -84,7 +86,7 @@ def _bounded(power: np.ndarray, usable: np.ndarray, freedom: int) -> np.ndarray:
     """The powers `[k, n]`, none more than `_LOUDEST` times what chance gives once in a thousand: one
     limit for all lines, since one of their own would be of what their pixels share."""
     law = stats.chi2(freedom, scale=1 / freedom)
-    typical = float(np.median(power[usable])) / float(law.median())
+    typical = float(median(power[usable])) / float(law.median())
     return np.minimum(power, _LOUDEST * float(law.isf(_CAPPED)) * typical)
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
+from cannoise_jax.physics.robust import median
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.recordings.join import ALIKE_KELVIN
 from cannoise_jax.recordings.recording import DARK, Recording
@@ -35,7 +34,7 @@ def other_temperatures(recordings: Sequence[Recording]) -> tuple[list[Recording]
         return [], ""
     lit = [r for r in recordings if r.kind not in DARK]
     aims = [_celsius(r) for r in lit if r.temperature_c is not None] or [min(twice)]
-    nearest = min(twice, key=lambda t: abs(t - float(np.median(aims))))
+    nearest = min(twice, key=lambda t: abs(t - float(median(aims))))
     others = [r for r in darks if r.temperature_c is not None and abs(_celsius(r) - nearest) > ALIKE_KELVIN]
     named = ", ".join(f"{r.path or r.camera} ({r.temperature_c:.4g} C)" for r in others)
     return others, f"darks of several temperatures: those of {nearest:.4g} C are used, not {named}"

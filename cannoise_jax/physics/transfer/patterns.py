@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.physics.transfer.estimate import NotMeasurable, Outcome, root
 from cannoise_jax.physics.transfer.estimators.dark_map import DarkMap
 from cannoise_jax.physics.transfer.estimators.light_alone import LightAlone, light_alone
@@ -69,7 +70,7 @@ def temporal_parts(s: FrameStatistics, c: int, relative: bool = False, degree: i
     if relative:
         black = black_of(s.recording, c)
         level = s.frame_means[:, c] - black
-        less_noise = float(np.median(site(of_variance(s), c)))
+        less_noise = float(median(site(of_variance(s), c)))
         rows, columns = ((v - black) / level[:, None] * less_noise**0.5 for v in (rows, columns))
         square /= less_noise * float(level.mean()) ** 2
     row, row_dof = temporal_mean_square(rows, degree=degree)

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.physics.transfer.baseline import Baseline
 from cannoise_jax.physics.transfer.black import Black, black_level, mean_level, of_one_dark, reference_dark
 from cannoise_jax.physics.transfer.doubling import NAME, kelvin_to_double
@@ -287,7 +288,7 @@ def _line(
     if quiet is None or not bounded:
         return line
     # Of the darks' variance only the most that it can be is known, and of their level where it may be.
-    brightest = max(float(np.median(level.signal)) for level in levels)
+    brightest = max(float(median(level.signal)) for level in levels)
     doubt = (0.5 * quiet.read.ci90[1] ** 2 + quiet.level.stderr * line.slope.value) / brightest
     return replace(line, slope=normal_estimate(line.slope.value, float(np.hypot(line.slope.stderr, doubt))))
 

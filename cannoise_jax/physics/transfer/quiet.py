@@ -11,6 +11,7 @@ from jaxtyping import Float
 from scipy import special
 
 from cannoise_jax.physics.core.rounding import COARSE, before_rounding, level_and_spread
+from cannoise_jax.physics.robust import median
 from cannoise_jax.physics.transfer.estimate import Estimate, normal_estimate
 from cannoise_jax.physics.transfer.fit import robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics
@@ -91,7 +92,7 @@ def _origin(dark: FrameStatistics, step: float) -> float:
     if dark.spacing is None or step <= 1:
         return 0.0
     codes = dark.spacing.codes
-    return float(codes[np.argmin(np.abs(codes - np.median(dark.mean)))] % step)
+    return float(codes[np.argmin(np.abs(codes - median(dark.mean)))] % step)
 
 
 def with_rounding_told(s: FrameStatistics) -> FrameStatistics:
@@ -165,7 +166,7 @@ def unchanging(dark: FrameStatistics) -> bool:
     if not np.any(dark.total):
         return True
     still = dark.total < _STILL * step_of(dark) ** 2
-    return bool(np.mean(still & (dark.mean == np.median(dark.mean))) > 0.5)
+    return bool(np.mean(still & (dark.mean == median(dark.mean))) > 0.5)
 
 
 def coarse(dark: FrameStatistics) -> str:
@@ -199,7 +200,7 @@ def dither(s: FrameStatistics, c: int) -> float:
     """Variance of what rounding sees of one channel, codes squared: noise and offsets of its pixels, without
     those four codes away. 0 where it is too little to be told from what is stored."""
     step, mean = step_of(s), site(s.mean, c)
-    offsets = float(mean[np.abs(mean - np.median(mean)) < 4 * step].var())
+    offsets = float(mean[np.abs(mean - median(mean)) < 4 * step].var())
     square, _ = square_below_a_code(pixel_variance(s, c), s.dof, step)
     found = (square * (1 - 1 / s.recording.count) + offsets) / step**2 - 1 / 12
     return found if found > _DITHERED else 0.0

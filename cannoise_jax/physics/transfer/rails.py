@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Bool, Float
 
-from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.robust import median, robust_std
 from cannoise_jax.physics.transfer.black import black_level, reference_dark
 from cannoise_jax.physics.transfer.fit import median_quotient
 from cannoise_jax.physics.transfer.frames import FrameStatistics, frame_statistics
@@ -80,7 +80,7 @@ def below_rail(s: FrameStatistics, c: int) -> Bool[np.ndarray, "h w"]:
     if near.mean() <= 1 - _ALMOST_ALL:
         # Hot pixels: their charge does not go with the light, so that a lamp that changes is in their noise.
         near = usable
-    sigma = np.sqrt(np.median(pixel_variance(s, c)[near]) / median_quotient(s.dof))
+    sigma = np.sqrt(median(pixel_variance(s, c)[near]) / median_quotient(s.dof))
     return usable & (site(s.mean, c) + _FROM_RAIL * sigma < top)
 
 
@@ -117,7 +117,7 @@ def _beyond_most(changes: list[np.ndarray]) -> float:
     power = [float(np.mean(_near(change - change.mean()) ** 2)) for change in changes]
     if len(power) < _FEWEST or not any(power):
         return 0.0
-    return 1 - float(np.median(power)) / float(np.mean(power))
+    return 1 - float(median(power)) / float(np.mean(power))
 
 
 def _shifted(frames: list[np.ndarray], changes: list[np.ndarray]) -> float:
@@ -174,8 +174,8 @@ def is_cut_off(s: FrameStatistics, c: int) -> bool:
     if np.isfinite(s.low[c]) or s.variance is None:
         return True
     level = site(s.mean, c)
-    spread = np.hypot(np.sqrt(np.median(pixel_variance(s, c)) / median_quotient(s.dof)), robust_std(level))
-    return bool(np.median(level) + max(s.code_step, 1.0) / 2 < _BELOW * spread)
+    spread = np.hypot(np.sqrt(median(pixel_variance(s, c)) / median_quotient(s.dof)), robust_std(level))
+    return bool(median(level) + max(s.code_step, 1.0) / 2 < _BELOW * spread)
 
 
 def cut_off(statistics: Sequence[FrameStatistics]) -> str:
@@ -224,7 +224,7 @@ def contradicted_black(statistics: Sequence[FrameStatistics]) -> str:
     if None not in seconds and len(set(seconds)) > 1:
         slope, ends = np.polyfit(np.array(seconds, float), levels, 1)
         away = min(away, abs(float(ends) - stated)) if slope > 0 else away
-    noise = np.sqrt(float(np.median(dark.variance)) / median_quotient(dark.dof))
+    noise = np.sqrt(float(median(dark.variance)) / median_quotient(dark.dof))
     if away <= max(_OUTSIDE * noise, 2 * max(dark.code_step, 1.0)):
         return ""
     low, high = (f"{v:.0f}" for v in (min(levels), max(levels)))

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.physics.transfer.fit import median_quotient
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.recordings.packing import SITES
@@ -68,7 +69,7 @@ def _median(values: Float[np.ndarray, "n"]) -> tuple[float, float, float]:
     ordered, n = np.sort(values), values.size
     away = int(np.ceil(_SIGMAS / np.sqrt(2) * np.sqrt(n) / 2))
     low, high = max(n // 2 - away, 0), min(n // 2 + away, n - 1)
-    return float(ordered[low]), float(np.median(values)), float(ordered[high])
+    return float(ordered[low]), float(median(values)), float(ordered[high])
 
 
 def drifting_halves(dark: FrameStatistics | None) -> str:
@@ -85,7 +86,7 @@ def drifting_halves(dark: FrameStatistics | None) -> str:
     power = np.mean((means[:, _BESIDE:] - means[:, :-_BESIDE]) ** 2, axis=0)
     dof, at = dark.recording.count - 1, columns.shape[1] // 2 - _BESIDE
     away = np.abs(np.arange(len(power)) - at) > _BESIDE
-    usual = float(np.median(power[away])) / median_quotient(dof)
+    usual = float(median(power[away])) / median_quotient(dof)
     if power[at] < stats.chi2.isf(_BY_CHANCE, dof) / dof * usual or power[at] < power[away].max():
         return ""
     half = columns.shape[1] // 2
@@ -104,7 +105,7 @@ def uneven_halves(flat: FrameStatistics | None, dark: FrameStatistics | None) ->
         return ""
     light = flat.mean - dark.mean
     for lines, axis in (("columns", 0), ("rows", 1)):
-        steps = [found for site in SITES if (found := _middle_step(np.median(light[site], axis=axis)))]
+        steps = [found for site in SITES if (found := _middle_step(median(light[site], axis=axis)))]
         if len(steps) == len(SITES) and min(steps) * max(steps) > 0 and _all_along(light, axis, min(steps)):
             half = light.shape[1 - axis] // 2
             return (
@@ -119,10 +120,10 @@ def _all_along(light: Float[np.ndarray, "h w"], axis: int, step: float) -> bool:
     """Whether the light steps to the same side in every band of rows (axis 0) or columns, as amplifiers make
     it do: shadows of dust in the middle do so over a part of it."""
     for band in np.array_split(np.arange(light.shape[axis] // 2 * 2), _BANDS):
-        profile = np.median(np.take(light, band, axis), axis=axis)
+        profile = median(np.take(light, band, axis), axis=axis)
         middle = len(profile) // 2
         left, right = (
-            float(np.median(profile[middle + a : middle + b])) for a, b in ((-_BESIDE, 0), (0, _BESIDE))
+            float(median(profile[middle + a : middle + b])) for a, b in ((-_BESIDE, 0), (0, _BESIDE))
         )
         if (right / max(left, 1e-9) - 1) * np.sign(step) < _PART * abs(step):
             return False
@@ -145,6 +146,6 @@ def _middle_step(profile: Float[np.ndarray, "n"]) -> float:
     at = len(profile) // 2 - beside
     step = float(steps[at])
     away = np.abs(np.arange(len(steps)) - at) >= beside
-    usual = float(np.median(np.abs(steps[away])))
-    share = step / max(float(np.median(profile)), 1e-9)
+    usual = float(median(np.abs(steps[away])))
+    share = step / max(float(median(profile)), 1e-9)
     return share if abs(share) > _STEP and abs(step) > _OTHERS * usual else 0.0

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.physics.transfer.black import dark_like, reference_dark
 from cannoise_jax.physics.transfer.fit import median_quotient
 from cannoise_jax.physics.transfer.frames import FrameStatistics, of_variance
@@ -174,18 +175,18 @@ def _gain(flat: FrameStatistics, dark: FrameStatistics, channels: Sequence[int] 
         usable = below_rail(flat, c)
         if usable.mean() < _ENOUGH:
             return None
-        mean, variance = (float(np.median(v[usable])) for v in (site(flat.mean, c), pixel_variance(flat, c)))
+        mean, variance = (float(median(v[usable])) for v in (site(flat.mean, c), pixel_variance(flat, c)))
         added, doubt = (0.0, 0.0) if dark.rounded is None else (v[c] for v in dark.rounded)
-        signal = mean - float(np.median(site(dark.mean, c))) + added
+        signal = mean - float(median(site(dark.mean, c))) + added
         if signal <= 0:
             return None
         straight &= mean < LINEAR * flat.recording.white_level
-        read = 0.0 if dark.variance is None else float(np.median(pixel_variance(dark, c)))
+        read = 0.0 if dark.variance is None else float(median(pixel_variance(dark, c)))
         read /= median_quotient(dark.dof) if dark.variance is not None else 1.0
         shot = variance / median_quotient(flat.dof) - read - dark_shot(flat, c)
         if shot <= read:  # then the read noise, and the dark that is taken for it, would tell the gain
             return None
-        gains.append(shot / signal / float(np.median(site(of_variance(flat), c))))
+        gains.append(shot / signal / float(median(site(of_variance(flat), c))))
         # The median of a mean square is worth 0.6 of the mean.
         errors.append(np.sqrt(2 / (0.6 * usable.sum() * flat.dof)) * (1 + read / shot))
         if dark.rounded is not None:  # what rounding makes of its variance is as large as that

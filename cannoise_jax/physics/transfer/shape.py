@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.robust import median, robust_std
 from cannoise_jax.physics.transfer.estimate import (
     Z90,
     Estimate,
@@ -45,7 +45,7 @@ def shape_quantities(dark: FrameStatistics) -> list[Quantity]:
     if dark.total is None or dark.recording.count < 3:
         return []
     sigma, dof = np.sqrt(dark.total), dark.recording.count - 1.0
-    middle = float(np.median(sigma))
+    middle = float(median(sigma))
     spread = 1.2533 * float(sigma.std()) / np.sqrt(sigma.size)
     # The median of what few frames show of one noise lies below it.
     below = float(np.sqrt(median_quotient(dof)))
@@ -72,8 +72,8 @@ def dark_lines(statistics: Sequence[FrameStatistics]) -> list[list[str]]:
     lines = [["exposure s", "frames", "median", "mean", "noise", "pixels > +200", "99.9 %", "frame jumps"]]
     darks = [s for s in statistics if s.recording.kind in DARK]
     for s in sorted(darks, key=lambda s: s.recording.exposure_s or 0.0):
-        level = float(np.median(s.mean))
-        noise = "" if s.variance is None else f"{np.sqrt(np.median(s.variance) / median_quotient(s.dof)):.1f}"
+        level = float(median(s.mean))
+        noise = "" if s.variance is None else f"{np.sqrt(median(s.variance) / median_quotient(s.dof)):.1f}"
         jumps = s.frame_means.mean(1)
         exposure = s.recording.exposure_s
         lines.append([

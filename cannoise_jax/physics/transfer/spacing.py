@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.views import usual_variance
 from cannoise_jax.recordings.codes import Spacing
@@ -29,7 +30,7 @@ MOSTLY_ROUNDING = "more than twice their noise, so that their variance is mostly
 def table_of(s: FrameStatistics, step: float) -> Spacing | None:
     """The spacing of the codes of a recording where it is wider than `step`, DN; None where it is not."""
     found = s.spacing
-    wider = found is not None and float(np.median(found.cells)) >= _WIDER * max(step, 1.0)
+    wider = found is not None and float(median(found.cells)) >= _WIDER * max(step, 1.0)
     return found if wider else None
 
 
@@ -47,7 +48,7 @@ def rounding_beyond(
 def own_step(s: FrameStatistics, step: float) -> float:
     """The spacing of the codes of a dark, DN: its own where a table has put them further apart."""
     found = table_of(s, step) if s.recording.kind in DARK else None
-    return step if found is None else float(found.at(np.median(s.mean)))
+    return step if found is None else float(found.at(median(s.mean)))
 
 
 def spacing_line(statistics: Sequence[FrameStatistics], step: float, c: int) -> str:
@@ -57,7 +58,7 @@ def spacing_line(statistics: Sequence[FrameStatistics], step: float, c: int) -> 
     for s in statistics:
         if s.recording.kind != "flat" or s.variance is None or (found := table_of(s, step)) is None:
             continue
-        apart, variance = float(found.at(np.median(s.mean))), usual_variance(s, c)
+        apart, variance = float(found.at(median(s.mean))), usual_variance(s, c)
         if apart**2 / 12 < _SHOWN * variance:
             continue
         said.append(apart)

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
-from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.robust import median, robust_std
 from cannoise_jax.physics.transfer.hits import read_with
 from cannoise_jax.recordings.lazy import LazyArray
 from cannoise_jax.recordings.packing import site
@@ -63,8 +63,8 @@ def without_spots(
         return None
     noise = np.empty(mean.shape)
     for c in range(4):  # the variance of a flat is in proportion to its light
-        signal = np.maximum(site(mean, c), max(_DIM * float(np.median(site(mean, c))), 1e-9))
-        site(noise, c)[...] = np.sqrt(np.median(site(variance, c) / signal) * signal)
+        signal = np.maximum(site(mean, c), max(_DIM * float(median(site(mean, c))), 1e-9))
+        site(noise, c)[...] = np.sqrt(median(site(variance, c) / signal) * signal)
     noise = np.maximum(noise, 1e-9)
     found = ((t, np.flatnonzero(_spots((frame - mean) / noise))) for t, frame in enumerate(steady))
     taken = {t: spots for t, spots in found if spots.size}  # places, as masks of many frames are large

@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 from scipy import stats
 
-from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.robust import median, robust_std
 from cannoise_jax.physics.transfer.black import black_level
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.recordings.folders.sites import other_colours, two_gains
@@ -87,7 +87,7 @@ def levels_line(statistics: Sequence[FrameStatistics]) -> str:
             levels[at] - levels[at - 1],
             max(np.ptp(levels[:at]), np.ptp(levels[at:]), s.code_step),
         )
-        room = max(_TWICE * within, _NOISES * float(np.sqrt(np.median(s.variance))))
+        room = max(_TWICE * within, _NOISES * float(np.sqrt(median(s.variance))))
         if min(at, len(levels) - at) >= _PAIR and apart > room:
             return (
                 f"{_name(s)}: {len(levels) - at} of its {len(levels)} frames lie {apart:.3g} DN above the "
@@ -131,7 +131,7 @@ def _exchanged(statistics: Sequence[FrameStatistics]) -> str:
         if flat.recording.kind != "flat" or seconds is None:
             continue
         for dark in darks:
-            above = float(np.median(dark.mean)) - float(np.median(flat.mean))
+            above = float(median(dark.mean)) - float(median(flat.mean))
             as_long = (dark.recording.exposure_s or 0.0) <= _LONGER * seconds
             if as_long and above > _ABOVE * max(float(np.std(flat.frame_means)), robust_std(flat.mean), 1.0):
                 return (
@@ -183,13 +183,13 @@ def _charge(short: FrameStatistics, long: FrameStatistics, zero: FrameStatistics
         return None
     used = ~(short.clipped | long.clipped | zero.clipped)
     one, two = (s.mean - zero.mean for s in (short, long))
-    one, two = (v - float(np.median(v[used])) for v in (one, two)) if used.any() else (one, two)
+    one, two = (v - float(median(v[used])) for v in (one, two)) if used.any() else (one, two)
     both = (one + two) / 2
     noise = robust_std(both[used], 0.0) if used.any() else 0.0
     hot = used & (both > _SURE * max(noise, 0.1))
-    if hot.sum() < _FEWEST or np.median(one[hot]) <= 0:
+    if hot.sum() < _FEWEST or median(one[hot]) <= 0:
         return None
-    return float(np.median(two[hot] / np.maximum(one[hot], 1e-9)))
+    return float(median(two[hot] / np.maximum(one[hot], 1e-9)))
 
 
 def _pairs(statistics: Sequence[FrameStatistics]) -> list[tuple[FrameStatistics, FrameStatistics]]:
@@ -204,7 +204,7 @@ def _pairs(statistics: Sequence[FrameStatistics]) -> list[tuple[FrameStatistics,
 
 
 def _light(s: FrameStatistics, black: PerChannel) -> PerChannel:
-    return per_channel(np.array([float(np.median(site(s.mean, c))) - black[c] for c in range(4)]))
+    return per_channel(np.array([float(median(site(s.mean, c))) - black[c] for c in range(4)]))
 
 
 def _name(s: FrameStatistics) -> str:

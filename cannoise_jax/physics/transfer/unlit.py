@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool
 from scipy import ndimage
 
-from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.robust import median, robust_std
 from cannoise_jax.physics.transfer.black import black_level
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.recordings.metadata import chunks
@@ -130,7 +130,7 @@ def _gathers_none(statistics: Sequence[FrameStatistics], mask: Bool[np.ndarray, 
     if len(timed) < 2 or timed[0][0] == timed[-1][0]:
         return False
     grown = known[timed[-1][1]][1].mean - known[timed[0][1]][1].mean
-    inside, outside = (float(np.median(grown[at])) for at in (mask, ~mask))
+    inside, outside = (float(median(grown[at])) for at in (mask, ~mask))
     error = robust_std(grown) / np.sqrt(mask.sum())
     return outside - inside > max(_SURE * error, _LESS * outside)
 

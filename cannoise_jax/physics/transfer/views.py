@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.physics.transfer.fit import median_quotient, robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.recordings.packing import ALL, site
@@ -24,7 +25,7 @@ def pixel_variance(s: FrameStatistics, channel: int) -> Float[np.ndarray, "h w"]
 
 def usual_variance(s: FrameStatistics, channel: int) -> float:
     """Temporal variance of a usual pixel of one channel, DN^2, by the median."""
-    return float(np.median(pixel_variance(s, channel))) / median_quotient(s.dof)
+    return float(median(pixel_variance(s, channel))) / median_quotient(s.dof)
 
 
 def dark_shot(s: FrameStatistics, channel: int) -> float:
@@ -82,7 +83,7 @@ def unlike_sites(s: FrameStatistics, channel: int) -> Float[np.ndarray, "h w"]:
     may take turns in noise; of one site 1."""
     out = np.ones(site(s.mean, channel).shape)
     if channel == ALL:
-        middles = np.array([float(np.median(pixel_variance(s, c))) for c in range(4)])
+        middles = np.array([float(median(pixel_variance(s, c))) for c in range(4)])
         for c, middle in enumerate(middles):
             site(out, c)[...] = middle / max(float(middles.mean()), 1e-12)
     return out

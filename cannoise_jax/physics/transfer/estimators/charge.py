@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import stats
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.physics.transfer.dark import RECORD, dark_currents, dark_series
 from cannoise_jax.physics.transfer.dark_pixels import FAR, MOST_HOT, PixelLaw, above_level, law_of
 from cannoise_jax.physics.transfer.estimate import Z90, Estimate, Estimates, NotMeasurable
@@ -137,7 +138,7 @@ def grown(
 def _noise_of_mean(s: FrameStatistics, baseline) -> float:
     """Variance of the mean of the frames, DN^2."""
     variance = float(np.mean(np.square(baseline.read_noise)))
-    return (variance if s.variance is None else float(np.median(s.variance))) / s.recording.count
+    return (variance if s.variance is None else float(median(s.variance))) / s.recording.count
 
 
 def hot_pixels(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
@@ -187,15 +188,15 @@ def _charge_and_law(
     Pixels that jump, whose level that is rather than charge, count as ordinary."""
     charge, _ = charge_map(long, short, baseline)
     charge = above_level(charge)
-    charge = np.where(_jumps(long, charge, baseline), np.median(charge), charge)
+    charge = np.where(_jumps(long, charge, baseline), median(charge), charge)
     if short is None:  # one exposure does not tell offsets of columns and rows from charge
         for axis in (0, 1):
-            charge = charge - np.median(charge, axis=axis, keepdims=True) + np.median(charge)
+            charge = charge - median(charge, axis=axis, keepdims=True) + median(charge)
     # Means of pixels jump by codes where frames are coarse.
     least = 0.5 * step_of(long) / float(np.mean(baseline.gain)) if coarse(long) else 0.0
     full = charge[charge_fills(long, short)]
     values = charge[~long.clipped]
-    top = float(np.median(full) - np.median(values)) if full.size else 0.0
+    top = float(median(full) - median(values)) if full.size else 0.0
     noise = float(np.sqrt(_usual_noise(long, short, baseline)))
     law = law_of(
         values, noise=noise, shot=1 / long.recording.count, least=least, full=full.size, ceiling=max(top, 0.0)
@@ -236,7 +237,7 @@ def _jumps(long: FrameStatistics, charge: Float[np.ndarray, "H W"], baseline) ->
     cut, _ = cut_and_loss(long.dof)
     for c in range(4):
         variance, gain = site(long.variance, c), baseline.gain[c]
-        above = gain * (site(charge, c) - float(np.median(charge)))
+        above = gain * (site(charge, c) - float(median(charge)))
         expected = robust_mean_square(variance, long.dof)[0] + gain * np.maximum(above, 0.0)
         excess = np.sqrt(np.maximum(variance - expected, 0.0))
         site(out, c)[...] = (variance > cut * expected) & (above < _OF_A_JUMP * excess)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Int
 from scipy import stats
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.physics.transfer.black import black_level, reference_dark
 from cannoise_jax.physics.transfer.estimate import (
     Z90,
@@ -57,7 +58,7 @@ def missing_codes(statistics: Sequence[FrameStatistics], baseline=None) -> Estim
     if len(missing) < 2:
         populated = int(np.sum(counts >= _POPULATED))
         return NotMeasurable(f"no missing codes among {populated} well-populated ones", answered=True)
-    period, index = int(np.median(np.diff(missing))), codes[0] // step + np.arange(len(counts))
+    period, index = int(median(np.diff(missing))), codes[0] // step + np.arange(len(counts))
     phase = int(np.bincount(index[missing] % period).argmax())
     found = {"period": period, "phase": phase, "above": share_above(index, counts, period, phase)}
     return {name: _exact(float(value)) for name, value in found.items()}
@@ -70,9 +71,9 @@ def spread_apart(histogram: Int[np.ndarray, "65536"]) -> str:
     crowded = histogram[codes] >= _POPULATED
     gaps = np.diff(codes)[crowded[1:] & crowded[:-1]] / max(code_lattice(histogram).step, 1.0)
     # Between levels of the light nothing is recorded.
-    wide = gaps[gaps <= _BESIDE * np.median(gaps)] if len(gaps) else gaps
+    wide = gaps[gaps <= _BESIDE * median(gaps)] if len(gaps) else gaps
     parts = [p for p in np.array_split(gaps, max(len(gaps) // _RUN, 1)) if len(p)]
-    usual = [int(np.median(p)) for p in parts]
+    usual = [int(median(p)) for p in parts]
     if len(wide) < _RUN or max(usual) < 2 or (len(set(usual)) == 1 and len(set(wide.tolist())) == 1):
         return ""
     low, high = min(usual), max(usual)

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import optimize, stats
 
-from cannoise_jax.physics.robust import local_median, robust_std
+from cannoise_jax.physics.robust import local_median, median, robust_std
 from cannoise_jax.physics.transfer.estimate import Estimate, Estimates, NotMeasurable
 from cannoise_jax.physics.transfer.estimator import BY_CHANCE
 from cannoise_jax.physics.transfer.estimators.charge import charge_map, log_estimate, long_and_short
@@ -114,9 +114,9 @@ def _fitted_glow(statistics: Sequence[FrameStatistics], baseline) -> _Glow | Non
     # Shorter than half a cell it is a spot, and of more than two frames a level: of any strength.
     lengths = least_length, 2.0
     top = np.unravel_index(np.argmax(means), means.shape)
-    peak = max(float(means[top] - np.median(means)), 1e-6)
+    peak = max(float(means[top] - median(means)), 1e-6)
     starts = [
-        np.array([np.log(peak), np.log(length), around, float(np.median(means))])
+        np.array([np.log(peak), np.log(length), around, float(median(means))])
         for around in np.arange(0.05, 4, 0.2) for length in (max(0.1, lengths[0]), 0.4)
     ]  # fmt: skip
     best = min(starts, key=lambda p: float(np.sum(cost(p) ** 2)))
@@ -168,7 +168,7 @@ def _even(charge: Float[np.ndarray, "H W"], variance: Float[np.ndarray, "H W"]) 
     around = local_median(charge.astype(np.float32), 3)
     rest = charge - around
     spread = max(robust_std(rest, 0.0) ** 2, float(np.mean(variance)))
-    return rest**2 <= _FAR**2 * (spread + np.maximum(around - np.median(around), 0.0))
+    return rest**2 <= _FAR**2 * (spread + np.maximum(around - median(around), 0.0))
 
 
 def _cells(

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.physics.transfer.estimate import Estimate, Estimates, NotMeasurable, normal_estimate, root
 from cannoise_jax.physics.transfer.estimators.pick import darkest, odd_by_charge, repeated_darks
 from cannoise_jax.physics.transfer.frames import FrameStatistics, steady_frames
@@ -58,7 +59,7 @@ def lines_of(dark: FrameStatistics, axis: Line, gain=None) -> Loudness | None:
     usable = ~(dark.clipped | odd_by_charge(dark, gain))
     sigma = np.ones(usable.shape)
     for c in range(4):
-        site(sigma, c)[...] = np.sqrt(max(float(np.median(pixel_variance(dark, c))), 1e-12))
+        site(sigma, c)[...] = np.sqrt(max(float(median(pixel_variance(dark, c))), 1e-12))
     count, size = dark.recording.count, usable.shape
     total, sums, squares = np.zeros(size), np.zeros((2, *size)), np.zeros((2, *size))
     for at, frame in enumerate(steady_frames(dark)):

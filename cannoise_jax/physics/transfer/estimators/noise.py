@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from scipy import special
 
 from cannoise_jax.physics.core import tukey_lambda
+from cannoise_jax.physics.robust import median
 from cannoise_jax.physics.transfer.estimate import (
     Estimate,
     Estimates,
@@ -176,7 +177,7 @@ def _weighted(found: list[Estimate]) -> Estimate:
 def _level_moves(means: Float[np.ndarray, "T 4"], step: int) -> Int[np.ndarray, "T 4"]:
     """How far each frame lies above the middle one, whole codes: what a frame does as a whole is no noise of
     its pixels, and makes two humps of one histogram. means: of the frames."""
-    apart = means - np.median(means, axis=0)
+    apart = means - median(means, axis=0)
     return step * np.rint(apart / step).astype(np.int64)
 
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.robust import median, robust_std
 from cannoise_jax.physics.transfer.estimators.pick import steady_pixels
 from cannoise_jax.physics.transfer.frames import FrameStatistics, steady_frames
 from cannoise_jax.physics.transfer.views import pixel_variance
@@ -80,7 +80,7 @@ def holds_charge(dark: FrameStatistics, pairs: list[tuple[Half, Half]] | None = 
         keep = steady_pixels(dark, c)
         if not keep.any():
             return False
-        middle = float(np.median(level[keep]))
+        middle = float(median(level[keep]))
         keep &= np.abs(level - middle) < _FAR * robust_std(level[keep], middle)
         if not keep.any():
             return False

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-from cannoise_jax.physics.robust import robust_std
+from cannoise_jax.physics.robust import median, robust_std
 from cannoise_jax.physics.transfer.estimate import NotMeasurable
 from cannoise_jax.physics.transfer.fit import cut_and_loss, robust_mean_square
 from cannoise_jax.physics.transfer.frames import FrameStatistics
@@ -102,7 +102,7 @@ def odd_by_charge(s: FrameStatistics, gain: Float[np.ndarray, "4"] | None) -> Bo
     cut, _ = cut_and_loss(s.dof)
     for c in range(4):
         mean, variance = site(s.mean, c), pixel_variance(s, c)
-        middle = float(np.median(mean))
+        middle = float(median(mean))
         charge = mean - middle
         read, _ = robust_mean_square(variance, s.dof)
         least = _WARM * robust_std(mean, middle)

@@ -17,6 +17,7 @@ from scipy.interpolate import PchipInterpolator
 
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.likelihood.whittle import white_level, whittle
+from cannoise_jax.physics.robust import median
 from cannoise_jax.physics.transfer.estimate import Z90, Estimate, Estimates, normal_estimate
 from cannoise_jax.physics.transfer.estimator import BY_CHANCE
 from cannoise_jax.physics.transfer.estimators.circle import circle, of_largest
@@ -113,7 +114,7 @@ def banding(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     frequency = _refined(dark, (slowest + int(np.argmax(power[slowest - 1 :]))) / count)
     # Of a wave the row means hold the share `lost`; of white noise at its frequency they hold as much.
     lost = (np.sin(np.pi * frequency * width) / (width * np.sin(np.pi * frequency))) ** 2
-    floor = float(np.median(power)) / median_quotient(2.0 * (frames - 1))  # noise power per frequency
+    floor = float(median(power)) / median_quotient(2.0 * (frames - 1))  # noise power per frequency
     points = _coefficients(dark, np.array([frequency]), residual=False)[:, 0] * 2 / count / (1 - lost)
     amplitude, stderr = circle(points, np.sqrt(2 * floor / count / (1 - lost)))
     strength = max(amplitude, stderr) ** 2
@@ -171,7 +172,7 @@ def chance_beside_half(dark: FrameStatistics, frequency: float, group: int = 1) 
         return 0.0
     near = scan_power(dark)[-(height // 2) :]
     # Offsets that rows share have their power at few frequencies.
-    floor = group * float(np.median(near)) / median_quotient(2.0 * frames)
+    floor = group * float(median(near)) / median_quotient(2.0 * frames)
     return of_largest(float(near.max()) * frames / floor, frames, height)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Shaped
 from scipy import optimize, special
 
+from cannoise_jax.physics.robust import median
 from cannoise_jax.physics.transfer.dark_pixels import fit_errors, hessian
 from cannoise_jax.physics.transfer.estimate import Z90, Estimate, Estimates, NotMeasurable
 from cannoise_jax.physics.transfer.estimators.pick import (
@@ -60,7 +61,7 @@ def rts(statistics: Sequence[FrameStatistics], baseline=None) -> Estimates:
     loud = spread > _LOUD
     if loud.sum() < 10:
         return NotMeasurable("fewer than ten pixels jump visibly: record more darks, or a larger frame")
-    jump, share = float(2 * np.median(spread[loud])), special.logit(min(2 * loud.mean(), 0.4))
+    jump, share = float(2 * median(spread[loud])), special.logit(min(2 * loud.mean(), 0.4))
     count = series.shape[1]
     series, times = told_by(series, spread)
     noisier = noisier_odds(series)
@@ -176,7 +177,7 @@ def standardised(dark: FrameStatistics) -> tuple[Float[np.ndarray, "T n"], float
     sigmas = []
     for c in range(4):
         variance = pixel_variance(dark, c)
-        middle = float(np.median(variance)) / median_quotient(dark.dof)
+        middle = float(median(variance)) / median_quotient(dark.dof)
         sigmas.append(float(np.sqrt(min(robust_mean_square(variance, dark.dof)[0], middle))))
     frames = np.concatenate([part.astype(np.float64) for part in chunks(dark.recording.frames)])
     columns = []
