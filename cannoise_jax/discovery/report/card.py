@@ -94,8 +94,10 @@ def dependence(
 ) -> dict[str, Any] | None:
     """Amplitude of a signature in the recordings of each value x of a setting, and the power of x that it
     follows best; None where there are fewer than two values at which the signature applies."""
-    points = []
-    for x in sorted({of(f) for f in fields}):
+    points, settings = [], sorted({of(f) for f in fields})
+    if len(settings) < 2:
+        return None
+    for x in settings:
         part = signature.score(tuple(f for f in fields if of(f) == x))
         if part is not None and np.isfinite(part.error) and part.error > 0:
             points.append((float(x), abs(float(part.amplitude)), float(part.error)))
