@@ -61,10 +61,11 @@ from cannoise_jax.discovery.proof.sides import Sides
 from cannoise_jax.discovery.report.save import save
 from cannoise_jax.discovery.result import Result
 from cannoise_jax.discovery.search import declare
-from cannoise_jax.discovery.search.fit import Fitted, Step, stepwise
+from cannoise_jax.discovery.search.fit import stepwise
 from cannoise_jax.discovery.search.locate import locate
 from cannoise_jax.discovery.search.maps import beside_others
 from cannoise_jax.discovery.search.name import Doubt
+from cannoise_jax.discovery.search.steps import Fitted, Step
 from cannoise_jax.mechanisms import ENTRIES
 from cannoise_jax.mechanisms.checked import check_draws
 from cannoise_jax.mechanisms.entry import Entry

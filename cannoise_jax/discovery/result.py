@@ -15,8 +15,8 @@ from cannoise_jax.discovery.proof.prove import Proof, Proofs
 from cannoise_jax.discovery.proof.quality import Quality
 from cannoise_jax.discovery.proof.twosample import differs as told_apart
 from cannoise_jax.discovery.proof.verdict import Verdict, verdict_of
-from cannoise_jax.discovery.search.fit import Fitted, part_of
 from cannoise_jax.discovery.search.name import UNKNOWN
+from cannoise_jax.discovery.search.steps import Fitted, part_of
 from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.physics.core.sensor import SensorModel

@@ -19,8 +19,8 @@ from cannoise_jax.blind.plain_unlisted import LATER, UNLISTED
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.proof.verdict import MATCH, NO_CAUSE, PARTLY
 from cannoise_jax.discovery.report.light import shadowed
-from cannoise_jax.discovery.search.fit import part_of
 from cannoise_jax.discovery.search.name import UNKNOWN
+from cannoise_jax.discovery.search.steps import part_of
 from cannoise_jax.recordings.recording import BadInput
 from cannoise_jax.trials.analysis import fingerprint
 from cannoise_jax.trials.lines import adding, read

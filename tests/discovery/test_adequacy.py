@@ -29,8 +29,8 @@ from cannoise_jax.discovery.proof.own_part import (
 )
 from cannoise_jax.discovery.proof.shadow import outweighs, shadowed, undrawn
 from cannoise_jax.discovery.proof.white_maps import gathered, patterned, ranged
-from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt, Named
+from cannoise_jax.discovery.search.steps import Step
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.signatures.off_reference import near_filter

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import pytest
 
 from cannoise_jax.discovery.proof.judged import beyond_draws
-from cannoise_jax.discovery.search.fit import Fitted, Step
 from cannoise_jax.discovery.search.locate import Located
 from cannoise_jax.discovery.search.name import UNKNOWN, Named
+from cannoise_jax.discovery.search.steps import Fitted, Step
 from cannoise_jax.signatures.signature import CONTRASTS, FILES
 
 EMPTY = Located({}, {}, 1.0)

@@ -10,8 +10,8 @@ import pytest
 from cannoise_jax.discovery.frames.splits import prepare_split, split_recordings
 from cannoise_jax.discovery.report.card import card, lines
 from cannoise_jax.discovery.search.declare import registered
-from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import Doubt, Named
+from cannoise_jax.discovery.search.steps import Step
 from tests.discovery.capture import capture_set, column_pattern, row_offsets
 
 HIDDEN = ("row_noise", "row_pink_noise", "column_fpn", "column_gain")

@@ -9,8 +9,8 @@ import pytest
 from cannoise_jax.discovery.frames.battery import prepare
 from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.discovery.proof.gaussian import kurtosis, not_gaussian, other_law, other_spectrum
-from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import Named
+from cannoise_jax.discovery.search.steps import Step
 from cannoise_jax.signatures.fields import helmert, refit
 from cannoise_jax.signatures.handed import Series
 from tests.discovery.capture import capture_set, row_offsets

@@ -10,8 +10,8 @@ import pytest
 from cannoise_jax.discovery.frames.battery import prepare
 from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.discovery.proof.claims import by_level, lasting, whatever_exposure
-from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import Named
+from cannoise_jax.discovery.search.steps import Step
 from tests.discovery.capture import capture_set
 
 SIGMA = 1.5

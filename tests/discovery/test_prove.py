@@ -21,9 +21,9 @@ from cannoise_jax.discovery.proof.prove import (
     standing,
     without_doubted_gain,
 )
-from cannoise_jax.discovery.search.fit import Fitted, Step
 from cannoise_jax.discovery.search.locate import Located
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt, Named
+from cannoise_jax.discovery.search.steps import Fitted, Step
 from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.signatures.fields import frame_fields
 from cannoise_jax.signatures.score import Score

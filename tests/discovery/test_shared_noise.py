@@ -9,8 +9,8 @@ from scipy import stats
 from cannoise_jax.discovery.frames.battery import prepare
 from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.discovery.proof.shared_noise import shared, shared_lines
-from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import Named
+from cannoise_jax.discovery.search.steps import Step
 from cannoise_jax.signatures.shape import lambda_of
 from tests.discovery.capture import capture_set
 

@@ -16,9 +16,9 @@ from cannoise_jax.discovery.proof.prove import Proof
 from cannoise_jax.discovery.report.card import card, lines
 from cannoise_jax.discovery.report.document import plain
 from cannoise_jax.discovery.report.wording import sentence
-from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.model import with_addition
 from cannoise_jax.discovery.search.name import UNKNOWN, Named
+from cannoise_jax.discovery.search.steps import Step
 from cannoise_jax.mechanisms import VOCABULARY
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.signatures.fields import Fields, refit

@@ -8,8 +8,8 @@ import pytest
 from cannoise_jax.discovery.frames.battery import prepare
 from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.discovery.proof.whole_codes import in_few_lines
-from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import Named
+from cannoise_jax.discovery.search.steps import Step
 from tests.discovery.capture import SIZE, capture_set
 
 FEW = np.random.default_rng(4).random((1, SIZE[1])) < 0.1

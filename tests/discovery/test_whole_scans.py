@@ -8,8 +8,8 @@ import pytest
 from cannoise_jax.discovery.frames.battery import prepare
 from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
 from cannoise_jax.discovery.proof.whole_scans import in_places
-from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Named
+from cannoise_jax.discovery.search.steps import Step
 from tests.discovery.capture import capture_set
 
 

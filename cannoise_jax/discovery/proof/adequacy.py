@@ -62,8 +62,8 @@ from cannoise_jax.discovery.proof.white_maps import gathered, noisy_again, patte
 from cannoise_jax.discovery.proof.whole_codes import in_few_lines
 from cannoise_jax.discovery.proof.whole_lines import in_parts
 from cannoise_jax.discovery.proof.whole_scans import in_places
-from cannoise_jax.discovery.search.fit import Fitted, Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
+from cannoise_jax.discovery.search.steps import Fitted, Step
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.physics.core.sensor_draws import closed_moments
 from cannoise_jax.physics.core.settings import DEFAULT, Settings

@@ -25,8 +25,8 @@ from cannoise_jax.discovery.compare.measure import of_sets
 from cannoise_jax.discovery.compare.moves import LINE_LAGS
 from cannoise_jax.discovery.compare.table import lines_of
 from cannoise_jax.discovery.proof.own_part import Borne, drawn_structures, own_part
-from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
+from cannoise_jax.discovery.search.steps import Step
 from cannoise_jax.physics.robust import median
 from cannoise_jax.signatures import bank
 from cannoise_jax.signatures.events import by_exposure

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from cannoise_jax.discovery.frames.battery import Prepared
-from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN
+from cannoise_jax.discovery.search.steps import Step
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.handed import Many
 from cannoise_jax.signatures.score import Score

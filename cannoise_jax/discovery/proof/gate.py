@@ -34,8 +34,8 @@ from cannoise_jax.discovery.proof.quality import (
 )
 from cannoise_jax.discovery.proof.sides import Sides, of_model
 from cannoise_jax.discovery.proof.tried import LEAST_GAIN, Gain, Tried
-from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
+from cannoise_jax.discovery.search.steps import Step
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.signatures.fields import stratum
 

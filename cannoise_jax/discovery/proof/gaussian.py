@@ -19,8 +19,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import optimize, stats
 
-from cannoise_jax.discovery.search.fit import Step, without_all
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
+from cannoise_jax.discovery.search.steps import Step, without_all
 from cannoise_jax.signatures.fields import Fields, contrast_matrix
 from cannoise_jax.signatures.handed import Series
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from cannoise_jax.discovery.frames.battery import Prepared
 from cannoise_jax.discovery.proof.prove import Proofs
-from cannoise_jax.discovery.search.fit import Fitted, Step, without_all
+from cannoise_jax.discovery.search.steps import Fitted, Step, without_all
 from cannoise_jax.signatures.score import Score
 
 

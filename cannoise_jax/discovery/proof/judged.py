@@ -16,7 +16,8 @@ from cannoise_jax.discovery.frames.simulate import Draw, Simulator, open_simulat
 from cannoise_jax.discovery.frames.splits import splits_of
 from cannoise_jax.discovery.proof.lowered import lowered
 from cannoise_jax.discovery.proof.sides import Sides, handed_simulators, simulators
-from cannoise_jax.discovery.search.fit import Fitted, Step, stepwise, without_all
+from cannoise_jax.discovery.search.fit import stepwise
+from cannoise_jax.discovery.search.steps import Fitted, Step, without_all
 from cannoise_jax.mechanisms import ENTRIES
 from cannoise_jax.mechanisms.checked import maps_of
 from cannoise_jax.mechanisms.entry import Entry

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from cannoise_jax.discovery.proof.excess import Excess
-from cannoise_jax.discovery.search.fit import Step
+from cannoise_jax.discovery.search.steps import Step
 from cannoise_jax.physics.core.sensor import Fitted, SensorModel
 
 SURE = 2.0

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from cannoise_jax.discovery.search.fit import Step, without_all
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
+from cannoise_jax.discovery.search.steps import Step, without_all
 from cannoise_jax.signatures.known_shape import known_skewness
 from cannoise_jax.signatures.shape import HEAVY, one_noise
 

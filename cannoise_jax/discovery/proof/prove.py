@@ -29,9 +29,9 @@ from cannoise_jax.discovery.proof.gains import (
     strength_beyond,
 )
 from cannoise_jax.discovery.proof.heldout import Scored, score_frames
-from cannoise_jax.discovery.search.fit import Fitted, Step, without_all
 from cannoise_jax.discovery.search.maps import beside_others, predictions
 from cannoise_jax.discovery.search.name import TIE_NATS, UNKNOWN, Doubt
+from cannoise_jax.discovery.search.steps import Fitted, Step, without_all
 from cannoise_jax.physics.transfer.estimate import Z90
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.score import Score

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from cannoise_jax.discovery.proof.own_part import TRACE, Borne, own_part, owned
-from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import Doubt
+from cannoise_jax.discovery.search.steps import Step
 
 LEFT_TOGETHER = 0.5
 """Share of its part that a name may leave where no single statistic differs significantly, but all together

@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from cannoise_jax.discovery.proof.white_maps import NOISE, noisy_halves
-from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
+from cannoise_jax.discovery.search.steps import Step
 from cannoise_jax.physics.robust import median
 from cannoise_jax.signatures.known_shape import darks
 from cannoise_jax.signatures.shape import HEAVY, one_noise

@@ -14,11 +14,11 @@ from cannoise_jax.discovery.frames.battery import Prepared
 from cannoise_jax.discovery.frames.draws import Drawing, drawing
 from cannoise_jax.discovery.frames.simulate import Simulator, codes_of
 from cannoise_jax.discovery.frames.simulated import drawn_parameters
-from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.maps import last_draw
 from cannoise_jax.discovery.search.model import baseline_model, extended_model
 from cannoise_jax.discovery.search.name import UNKNOWN
 from cannoise_jax.discovery.search.pedestal import with_pedestals
+from cannoise_jax.discovery.search.steps import Step
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import CaptureSet
 

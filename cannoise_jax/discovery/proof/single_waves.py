@@ -12,8 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from cannoise_jax.discovery.compare.compared import Compared
-from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
+from cannoise_jax.discovery.search.steps import Step
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.squares import dark_sigma
 

@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage, stats
 
-from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
+from cannoise_jax.discovery.search.steps import Step
 from cannoise_jax.physics.robust import median
 from cannoise_jax.signatures import bank
 from cannoise_jax.signatures.handed import Many

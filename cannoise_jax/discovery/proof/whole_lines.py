@@ -17,8 +17,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
+from cannoise_jax.discovery.search.steps import Step
 from cannoise_jax.physics.robust import median
 from cannoise_jax.signatures.fields import Fields
 

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from cannoise_jax.discovery.proof.whole_lines import of_parts
-from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
+from cannoise_jax.discovery.search.steps import Step
 from cannoise_jax.signatures.fields import Fields
 
 _STRIPS = 12

@@ -16,8 +16,8 @@ import numpy as np
 
 from cannoise_jax.discovery.compare.words import digits, short
 from cannoise_jax.discovery.frames.threads import each
-from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import Doubt
+from cannoise_jax.discovery.search.steps import Step
 from cannoise_jax.physics.likelihood.whittle import whittle
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.lag_sums import LAGS, lag_sums

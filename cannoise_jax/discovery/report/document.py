@@ -19,8 +19,8 @@ from cannoise_jax.discovery.report.not_found import absorbed_by, detectable
 from cannoise_jax.discovery.report.wording import sentence
 from cannoise_jax.discovery.result import Result
 from cannoise_jax.discovery.search.declare import kinds
-from cannoise_jax.discovery.search.fit import Step, part_of
 from cannoise_jax.discovery.search.name import UNKNOWN
+from cannoise_jax.discovery.search.steps import Step, part_of
 from cannoise_jax.physics.core.places import place
 from cannoise_jax.physics.transfer.estimate import Z90
 from cannoise_jax.recordings.recording import Recording

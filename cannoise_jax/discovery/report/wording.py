@@ -9,8 +9,8 @@ from typing import Any
 from cannoise_jax.discovery.compare.words import ends, is_wide, short
 from cannoise_jax.discovery.proof.prove import Proof
 from cannoise_jax.discovery.report.card import said_against
-from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import UNKNOWN
+from cannoise_jax.discovery.search.steps import Step
 from cannoise_jax.physics.core.places import place
 from cannoise_jax.signatures.signature import Axes
 from cannoise_jax.vocabulary import Term

@@ -7,21 +7,19 @@ sooner, but no frame is left to confirm it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence, Set
-from types import MappingProxyType
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool
 
-from cannoise_jax.discovery.frames.threads import each
+from cannoise_jax.discovery.search.final_model import in_final_model, standing
 from cannoise_jax.discovery.search.locate import Located, locate
-from cannoise_jax.discovery.search.name import UNKNOWN, Named, name
-from cannoise_jax.physics.transfer.estimate import Z90
-from cannoise_jax.signatures.fields import Fields, refit
-from cannoise_jax.signatures.handed import Many
+from cannoise_jax.discovery.search.name import Named, name
+from cannoise_jax.discovery.search.steps import Fitted, Step, changed, without
+from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.multiplicity import SHARED
-from cannoise_jax.signatures.score import Score, sidak
+from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import Signature
 
 MOST_STEPS = 25
@@ -32,20 +30,6 @@ found only later: in noise of rows that something else hid for a while, lines of
 _SOME = 0.05
 """Share of the pixels that a finding takes out, beyond chance, that another one takes out in its stead. With
 each that is hit by charge its neighbours go, a ninth of them at least being those that were hit."""
-
-
-class Step(NamedTuple):
-    """One accepted mechanism, the fields before it was taken out, and the family-wise log p of its signature
-    with all other accepted mechanisms in the model; of one that is kept for what would be found in its stead,
-    as it was accepted. late: it took all frames together to see it. left: the fields with everything taken
-    out that was accepted. rivals: evidence of the other signatures when it was accepted."""
-
-    named: Named
-    before: tuple[Fields, ...]
-    log_p: float
-    late: bool = False
-    left: tuple[Fields, ...] = ()
-    rivals: Mapping[str, float] = MappingProxyType({})
 
 
 class Search(NamedTuple):
@@ -59,28 +43,6 @@ class Search(NamedTuple):
     tell: Callable[[str], None]
 
 
-class Fitted(NamedTuple):
-    """All accepted steps, the fields that are left, and the last pass of the battery."""
-
-    steps: tuple[Step, ...]
-    fields: tuple[Fields, ...]
-    last: Located
-    first: Located
-
-
-def without(named: Named, fields: Many, before: Many = ()) -> Many:
-    """The fields with a finding taken out, and the variance of every channel brought back to one, but for
-    recordings whose contrasts are still those of `before`."""
-    return refit(named.signature.absorb(fields, named.score), before)
-
-
-def without_all(steps: Iterable[Step], fields: Many) -> Many:
-    """The fields with every step taken out, in order."""
-    for step in steps:
-        fields = without(step.named, fields)
-    return fields
-
-
 def known(
     located: Located,
     before: tuple[Fields, ...],
@@ -88,11 +50,9 @@ def known(
     signatures: tuple[Signature, ...],
 ) -> dict[str, Score]:
     """Scores that stand because nothing that they read of the fields has changed."""
-    changed = _changed(before, after)
+    moved = changed(before, after)
     return {
-        s.name: located.scores[s.name]
-        for s in signatures
-        if s.name in located.scores and not s.reads & changed
+        s.name: located.scores[s.name] for s in signatures if s.name in located.scores and not s.reads & moved
     }
 
 
@@ -124,7 +84,8 @@ def stepwise(
     while True:
         steps, fields, last = _forward(search, steps, fields, last, given_up)
         if [id(s) for s in steps] != [id(s) for s in judged]:
-            judged, final = list(steps), _in_final_model(steps, first.tests, needed, tell)
+            stand = standing(steps, judged, final, search.level)
+            judged, final = list(steps), in_final_model(steps, first.tests, needed, stand, tell)
         weak = [n for n, step in enumerate(final) if not step.late and step.log_p > search.level]
         if not weak:
             late = None
@@ -314,69 +275,3 @@ def _again(steps: Sequence[Step], fields: tuple[Fields, ...]) -> tuple[list[Step
         out.append(_fitted_anew(step, fields))
         fields = without(out[-1].named, fields, fields)
     return out, fields
-
-
-def part_of(steps: tuple[Step, ...]) -> dict[int, int]:
-    """Steps that are the slow part of another: means of frames that move no more than noise slower than a
-    frame moves them, and the step with that noise."""
-    out = {}
-    for n, step in enumerate(steps):
-        score = step.named.score
-        if not step.named.signature.of_frames:
-            continue
-        for m, other in enumerate(steps):
-            moved = other.named.signature.moves_frames
-            size = step.before[0].mean.shape
-            if moved and score.amplitude - Z90 * score.error < moved(other.named.score, size):
-                out[n] = m
-    return out
-
-
-def _changed(before: tuple[Fields, ...], after: tuple[Fields, ...]) -> frozenset[str]:
-    """What of the fields is not the same any more."""
-    pairs = list(zip(before, after, strict=True))
-    return frozenset(n for n in Fields._fields if any(getattr(a, n) is not getattr(b, n) for a, b in pairs))
-
-
-def _bearing(
-    steps: list[Step], changed: list[frozenset[str]], taken: list[int], reads: frozenset[str]
-) -> list[int]:
-    """Of the steps that are taken out those that change anything of what is read, or of what those read that
-    do. Of the last step it is not known what it changes."""
-    out = []
-    for n in reversed(taken):
-        if n >= len(changed) or changed[n] & reads:
-            out.append(n)
-            reads = reads | steps[n].named.signature.reads
-    return out[::-1]
-
-
-def _in_final_model(
-    steps: list[Step], tests: float, needed: Set[str], tell: Callable[[str], None] = lambda text: None
-) -> tuple[Step, ...]:
-    """The steps with the p-value that each has when it alone is dropped from the final model. A signature
-    that the others leave nothing to look at, or that is `needed`, keeps the p-value of its step. What is left
-    of an effect that is known but approximately, and has no name, does not make it superfluous; nor do those
-    that set the pixels aside by which it is seen, and in which it would be counted, or that hold it as well,
-    so that it was judged before them."""
-    changed = [_changed(step.before, after.before) for step, after in zip(steps, steps[1:], strict=False)]
-
-    def alone(k: int) -> Step:
-        step = steps[k]
-        if step.late or step.named.signature.name in needed:
-            return step
-        fields, own = step.before, step.named.signature
-        holds_it = {*(own.found_in if own.single_pixels else ()), *own.before(step.named.score)}
-        taken = [
-            n
-            for n in range(k + 1, len(steps))
-            if not (own.approximate and steps[n].named.mechanism == UNKNOWN)
-            and steps[n].named.signature.name not in holds_it
-        ]
-        for n in _bearing(steps, changed, taken, step.named.signature.reads):
-            fields = without(steps[n].named, fields, fields)
-        score = step.named.signature.score(fields) if k + 1 < len(steps) else step.named.score
-        share = step.named.signature.weight
-        return step if score is None else step._replace(log_p=sidak(score.log_p, tests / share))
-
-    return tuple(each(alone, range(len(steps)), tell, "each step beside the others"))

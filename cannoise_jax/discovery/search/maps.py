@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
-from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.name import Named
+from cannoise_jax.discovery.search.steps import Step
 from cannoise_jax.physics.robust import median
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.recordings.recording import DARK

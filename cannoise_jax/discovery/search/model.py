@@ -15,9 +15,9 @@ import numpy as np
 from cannoise_jax.discovery.frames.balance import balanced
 from cannoise_jax.discovery.frames.battery import Prepared, first_gain
 from cannoise_jax.discovery.search.dark_level import added_level
-from cannoise_jax.discovery.search.fit import Step
 from cannoise_jax.discovery.search.maps import one_draw
 from cannoise_jax.discovery.search.name import UNKNOWN
+from cannoise_jax.discovery.search.steps import Step
 from cannoise_jax.physics.core import registry
 from cannoise_jax.physics.core.grammar import Point, mechanism_from_grammar
 from cannoise_jax.physics.core.mechanism import Mechanism
