@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from cannoise_jax.discovery.compare.remainder import with_remainder
-from cannoise_jax.discovery.compare.sources import Source, shaded
 from cannoise_jax.discovery.frames.battery import Prepared
 from cannoise_jax.discovery.frames.calls import check_one_size, checked_capture, checked_key, seed_of
 from cannoise_jax.discovery.frames.faults import (
@@ -33,9 +32,9 @@ from cannoise_jax.discovery.frames.simulate import Draw
 from cannoise_jax.discovery.frames.smooth import shades
 from cannoise_jax.discovery.frames.splits import Splits, read_once, splits_of
 from cannoise_jax.discovery.proof.adequacy import described, doubts, withdrawn
-from cannoise_jax.discovery.proof.check import Checked, check, compared_on, source_of, spoils
 from cannoise_jax.discovery.proof.excess import Excess, excess
 from cannoise_jax.discovery.proof.gate import Gated, gate, lesser, remaining, sure_of
+from cannoise_jax.discovery.proof.handed_back import checked
 from cannoise_jax.discovery.proof.in_full import in_full
 from cannoise_jax.discovery.proof.judged import (
     CALIBRATED,
@@ -70,11 +69,9 @@ from cannoise_jax.mechanisms import ENTRIES
 from cannoise_jax.mechanisms.checked import check_draws
 from cannoise_jax.mechanisms.entry import Entry
 from cannoise_jax.physics.core.sensor import SensorModel
-from cannoise_jax.recordings.recording import BadInput, CaptureSet
+from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.recordings.usable import LeftOutWarning, usable
 from cannoise_jax.signatures.multiplicity import SHARED
-
-AFTER = "the simulator handed back"
 
 
 class Diagnosis(Result):
@@ -213,8 +210,9 @@ def diagnose(
         tell("check: what still differs")
         fewer = partial(lesser, panel=panel, sides=sides, against=against, steps=fitted.steps)
         own_key = jax.random.fold_in(key, 4)
+        layer = alpha * SHARED.layer
         gated, remains, model = checked(
-            judged, sides, gated, fewer, splits.frames, light=light, alpha=alpha, key=own_key, tell=tell
+            judged, sides, gated, fewer, splits.frames, light=light, alpha=layer, key=own_key, tell=tell
         )
     if panel is not None and gated is not None:
         quality = quality_of(panel, gated.before, gated.after)
@@ -281,61 +279,6 @@ def judged_by(
     # The smallest detectable effect of all frames, four times: of the shift, sigma^2.
     share = contrasts(seen) / max(contrasts(seen) + contrasts(unseen), 1)
     return jax.random.fold_in(key, 2), seen, unseen, sides, 2 * row.mde * share**0.25 if row else None
-
-
-def checked(
-    judged: Judged,
-    sides: Sides,
-    gated: Gated | None,
-    instead: Callable[[Gated], Iterator[Gated]],
-    frames: list[tuple[list[int], list[int]]],
-    *,
-    light: Mapping[int, np.ndarray],
-    alpha: float,
-    key: Key[Array, ""],
-    tell: Callable[[str], None],
-) -> tuple[Gated | None, Checked | None, SensorModel]:
-    """What differs between the frames held back and draws before and after (None: none can be drawn; of a
-    function beside which nothing was found, of the function), and the simulator that is handed back. Where
-    more differs than before, the first of what is `instead` is by which less does; where too few frames were
-    held back for the gate, all that was found goes. light: `shades`."""
-    layer = alpha * SHARED.layer
-    before = shaded(source_of(sides.model, sides.plain, judged.label, key), light)
-    model = sides.exported if gated is None else gated.model
-
-    def against(model: SensorModel, gated: Gated | None) -> Checked:
-        def after() -> Source:
-            return shaded(source_of(model, sides.plain, AFTER, key), light)
-
-        given = model is sides.model or (sides.model is None and sides.extended is None)
-        own = None if given else after
-        found = check(judged.capture, frames, before, own, layer, tell)
-        sure = gated is not None and gated.surely
-        return found._replace(surely=sure, far=gated is not None and gated.far_nearer)
-
-    try:
-        found = against(model, gated)
-        if gated is not None and gated.remainder and not gated.far_nearer:
-            spare = gated.without_remainder
-            given = spare.model is sides.model
-            source = shaded(source_of(spare.model, sides.plain, AFTER, key), light)
-            alone = found.before if given else compared_on(judged.capture, frames, source, layer, tell)
-            if spoils(found.after, alone, found.before):
-                gated, model = spare, spare.model
-                found = found.unchanged if given else found.in_place(alone, spare.surely)
-        if not found.worse:
-            return gated, found, model
-        if gated is None and sides.model is not None:
-            return None, found.unchanged, sides.model
-        for less in instead(gated) if gated is not None else ():
-            without = against(less.model, less)
-            if without.nats < found.nats:
-                gated, found, model = less, without, less.model
-            if not found.worse:
-                break
-    except BadInput:
-        return gated, None, model
-    return gated, found, model
 
 
 def contrasts(prepared: Prepared) -> int:

@@ -246,7 +246,7 @@ def test_the_right_simulator_leaves_nothing_and_is_nearer():
     capture = capture_set(62, rows(1.5), kinds="d")
     splits = split_recordings(capture)
     before, after = (open_source(camera(a), capture, KEY) for a in (None, rows(1.5)))
-    found = check(capture, splits, before, lambda: after, 0.0015)
+    found = check(*(compared_on(capture, splits, source, 0.0015) for source in (before, after)))
     assert found.before.differences and not found.after.differences and found.left == 0
     assert found.nearer is not None and found.nearer.verdict == "B" and found.held_back
 
