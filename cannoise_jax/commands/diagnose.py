@@ -162,6 +162,7 @@ def _diagnosed(arguments: argparse.Namespace, tell: Stages, started: float) -> t
     )
     for words in (*not_measured(found), *_stated_gains(found)):
         print(f"bin/diagnose: {words}", file=sys.stderr, flush=True)
+    tell("report: pictures, pages and the camera model")
     report = save(
         found,
         arguments.out,

@@ -97,8 +97,8 @@ def dependence(
     points, settings = [], sorted({of(f) for f in fields})
     if len(settings) < 2:
         return None
-    for x in settings:
-        part = signature.score(tuple(f for f in fields if of(f) == x))
+    parts = each(lambda x: signature.score(tuple(f for f in fields if of(f) == x)), settings)
+    for x, part in zip(settings, parts, strict=True):
         if part is not None and np.isfinite(part.error) and part.error > 0:
             points.append((float(x), abs(float(part.amplitude)), float(part.error)))
     if len(points) < 2:
