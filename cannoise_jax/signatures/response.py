@@ -11,14 +11,15 @@ one lamp the mean over the exposure t,
 
     log(y / t) = const + log(1 - a (x / S)^p),
 
-falls with the signal in the first case only. p is not chosen by it, so that it is asked once. How far single
+falls with the signal in the first case only. p is chosen by it only among those between which the variance
+does not choose, where it does not fall as a parabola; each then has its share of the chance. How far single
 flats lie off that line says how steady lamp and shutter are, and with it how well the slope is known:
 Student's t.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -65,15 +66,19 @@ class OfVariance(NamedTuple):
 
 
 class OfMeans(NamedTuple):
-    """A loss at white, its standard error, and the degrees of freedom of that."""
+    """A loss at white, its standard error, the degrees of freedom of that, and by which share of the light
+    flats scatter about the line."""
 
     loss: float
     error: float
     freedom: int
+    scatter: float
 
 
 Curves = Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]
 """Signal, variance less the read noise's, and its standard error, of channels."""
+Points = Sequence[tuple[int, int, float]]
+"""Gain setting, recording and mean signal, DN, of flats."""
 
 
 def by_variance(curves: Curves, span: float, order: float | None = None) -> OfVariance:
@@ -82,23 +87,34 @@ def by_variance(curves: Curves, span: float, order: float | None = None) -> OfVa
     is as unsure as the order. order: None where it is not known."""
     if order is not None:
         return _of_order(curves, span, order)[0]
+    return allowed_by_variance(curves, span)[0]
+
+
+def allowed_by_variance(curves: Curves, span: float) -> list[OfVariance]:
+    """`by_variance`, and where that is of order 1 without need the others, which are as good but for
+    chance."""
     told = {order: _of_order(curves, span, order) for order in _ORDERS}
-    best = min(_ORDERS, key=lambda order: told[order][1])
-    found, least = told[best]
+    least = min(chi2 for _, chi2 in told.values())
     freedom = max(sum(len(y) for y, _, _ in curves) - len(curves) - 2, 1)
     scale = max(least / freedom, 1.0)
     if freedom < 2 or told[1.0][1] - least < _MISSED * scale:
-        return told[1.0][0]
-    weights = np.exp(-(np.array([told[order][1] for order in _ORDERS]) - least) / 2 / scale)
-    losses, orders = np.array([told[order][0].loss for order in _ORDERS]), np.array(_ORDERS)
+        return [found for found, chi2 in told.values() if chi2 - least < _MISSED * scale]
+    logs = np.array([least - told[order][1] for order in _ORDERS]) / 2 / scale
+    return [_unsure([told[order][0] for order in _ORDERS], logs)]
+
+
+def _unsure(found: Sequence[OfVariance], logs: np.ndarray) -> OfVariance:
+    """The likeliest of curves of several orders, with what the others add to its errors. logs: of how likely
+    each is."""
+    n, weights = int(np.argmax(logs)), np.exp(logs - np.max(logs))
     # Between two of those that are tried neither is known better than by half of what they are apart.
-    n = _ORDERS.index(found.order)
     near = slice(max(n - 1, 0), n + 2)
     unsure, order_error = (
         float(np.hypot(np.sqrt(np.average((v - v[n]) ** 2, weights=weights)), np.ptp(v[near]) / _EVEN))
-        for v in (losses, orders)
+        for v in (np.array([f.loss for f in found]), np.array([f.order for f in found]))
     )
-    return found._replace(error=float(np.hypot(found.error, unsure)), order_error=order_error)
+    error = float(np.hypot(found[n].error, unsure))
+    return found[n]._replace(error=error, order_error=order_error)
 
 
 def _of_order(curves: Curves, span: float, order: float) -> tuple[OfVariance, float]:
@@ -139,7 +155,7 @@ def by_mean(log_rate: np.ndarray, bend: np.ndarray, group: np.ndarray) -> OfMean
         return None
     loss = float(x @ y) / power
     scatter = max(float(np.sqrt(np.sum((y - loss * x) ** 2) / freedom)), _STEADY)
-    return OfMeans(loss, scatter / np.sqrt(power), freedom)
+    return OfMeans(loss, scatter / np.sqrt(power), freedom, scatter)
 
 
 def response_score(
@@ -166,14 +182,17 @@ def response_score(
     exposures = {seconds[r] for _, r, _ in points}
     if len(exposures) < _FEWEST:
         return None
-    bent = by_variance(curves, span, None if found is None else order_of(found.parameters))
-    light = _rates(points, seconds, bent, span)
-    straight = by_mean(*light)
+    if found is None:
+        allowed = allowed_by_variance(curves, span)
+    else:
+        allowed = [by_variance(curves, span, order_of(found.parameters))]
+    bent, straight = allowed[0], by_mean(*_rates(points, seconds, allowed[0], span))
     if straight is None:
         return None
-    alike = abs(straight.loss - bent.loss) < _APART * np.hypot(straight.error, bent.error)
-    t = straight.loss * np.sign(bent.loss) / straight.error
-    gain = bent.gain if alike and t > stats.t.ppf(_SURE, straight.freedom) else 0.0
+    borne_out = _bears_out(straight, bent, 1 - _SURE)
+    if not borne_out and (other := _other_order(allowed[1:], points, seconds, span)) is not None:
+        (bent, straight), borne_out = other, True
+    gain = bent.gain if borne_out else 0.0
     loss, error = bent.loss, bent.error
     more = {"order": (bent.order, "1", bent.order_error)} if bent.order != 1 else {}
     if gain:
@@ -193,6 +212,29 @@ def response_score(
     )
 
 
+def _bears_out(straight: OfMeans, bent: OfVariance, chance: float) -> bool:
+    """Whether the means fall as the variance says, but for such a chance where they do not fall."""
+    alike = abs(straight.loss - bent.loss) < _APART * np.hypot(straight.error, bent.error)
+    t = straight.loss * np.sign(bent.loss) / straight.error
+    return bool(alike and t > stats.t.isf(chance, straight.freedom))
+
+
+def _other_order(
+    allowed: Sequence[OfVariance], points: Points, seconds: Mapping[int, float | None], span: float
+) -> tuple[OfVariance, OfMeans] | None:
+    """Of curves between which the variance does not choose the one that the means bear out best, None where
+    they bear out none: each has its share of the chance."""
+    told = [(bent, by_mean(*_rates(points, seconds, bent, span))) for bent in allowed]
+    chance = (1 - _SURE) / max(len(told), 1)
+    borne = [(bent, s) for bent, s in told if s is not None and _bears_out(s, bent, chance)]
+    if not borne:
+        return None
+    # Without a loss curves of all orders are one, so that their gains compare them.
+    logs = np.array([bent.gain - s.freedom * np.log(s.scatter) for bent, s in borne])
+    n = int(np.argmax(logs))
+    return _unsure([bent for bent, _ in borne], logs), borne[n][1]
+
+
 def _means(levels: Sequence[Level]) -> list[tuple[int, float]]:
     """The mean signal of each recording of one channel, over its parts."""
     numbers = sorted({p.recording for p in levels})
@@ -204,7 +246,7 @@ def _means(levels: Sequence[Level]) -> list[tuple[int, float]]:
 
 
 def _rates(
-    points: Sequence[tuple[int, int, float]], seconds: dict[int, float | None], bent: OfVariance, span: float
+    points: Points, seconds: Mapping[int, float | None], bent: OfVariance, span: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """For every flat that shows as many channels as any, these averaged, for they share its lamp: the
     arguments of `by_mean`."""

@@ -17,7 +17,7 @@ LIGHT = np.array([0.1, 0.2, 0.4, 0.6, 0.8]) * SPAN
 PIXELS, FRAMES = 40_000, 8
 
 
-def recorded(rng, loss=0.0, lost=0.0, lamp=0.0, light=LIGHT, channels=range(4), order=1.0):
+def recorded(rng, loss=0.0, lost=0.0, lamp=0.0, light=LIGHT, channels=range(4), order=1.0, pixels=PIXELS):
     """Levels of flats under a lamp that scatters by so much between them. loss: of the signal at white;
     lost: of the variance there, without one of the signal; order: by which power of the signal both grow."""
     steady = 1 + lamp * rng.standard_normal(len(light))
@@ -29,10 +29,10 @@ def recorded(rng, loss=0.0, lost=0.0, lamp=0.0, light=LIGHT, channels=range(4), 
             variance = (
                 READ**2 + 1 / 12 + GAIN * at * (1 - (1 + order) * loss * share) ** 2 * (1 - lost * share)
             )
-            error = variance * np.sqrt(2 / (PIXELS * (FRAMES - 1)))
+            error = variance * np.sqrt(2 / (pixels * (FRAMES - 1)))
             signal = at * (1 - loss * share)
             seen = variance + error * rng.standard_normal()
-            levels.append(Level(n, c, signal, seen, error, PIXELS, full=False, sure=True, alone=0.0, part=0))
+            levels.append(Level(n, c, signal, seen, error, pixels, full=False, sure=True, alone=0.0, part=0))
     base = dataclasses.replace(RECORDED.baselines[0], read_noise=np.full(4, READ), levels=tuple(levels))
     return RECORDED._replace(baselines=(base,), span=SPAN)
 
@@ -80,6 +80,29 @@ def test_a_curve_that_is_no_parabola_is_found_and_measured(order):
     few = signature(dataclasses.replace(b, levels=loose(b.levels)) for b in said.baselines)
     assert order_of(few.score(FIELDS).parameters) == 1
     assert order_of(few.score_again(FIELDS, scores[0]).parameters) == order
+
+
+@pytest.mark.parametrize("order", [2.0, 3.0])
+@pytest.mark.parametrize("light", [LIGHT, SPAN * np.array([0.11, 0.22, 0.45, 0.9])])
+def test_where_the_variance_does_not_choose_the_order_the_means_do(order, light):
+    rng = np.random.default_rng(31)
+    scores = [
+        score_of(recorded(rng, loss=0.03, order=order, light=light, pixels=4200), light) for _ in range(12)
+    ]
+    assert all(s.gain > 20 for s in scores)
+    off = [(s.parameters["curvature"][0] - 0.03) / s.parameters["curvature"][2] for s in scores]
+    assert np.max(np.abs(off)) < 4 and abs(np.mean(off)) < 1.5
+    assert abs(np.mean([order_of(s.parameters) for s in scores]) - order) < 0.5
+
+
+def test_a_lamp_bears_out_a_variance_that_bends_by_itself_by_chance_alone():
+    rng = np.random.default_rng(32)
+    light = SPAN * np.array([0.11, 0.22, 0.45, 0.9])
+    scores = [
+        score_of(recorded(rng, lost=0.1, lamp=0.005, light=light, pixels=4200), light) for _ in range(150)
+    ]
+    # One in twenty as a parabola, one in twenty as any other curve, less where the losses do not agree.
+    assert sum(s.gain > 0 for s in scores) <= stats.binom.ppf(0.999, 150, 0.1)
 
 
 @pytest.mark.parametrize("order", [1.0, 2.0, 3.0])
