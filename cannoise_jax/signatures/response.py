@@ -100,13 +100,13 @@ def allowed_by_variance(curves: Curves, span: float) -> list[OfVariance]:
     if freedom < 2 or told[1.0][1] - least < _MISSED * scale:
         return [found for found, chi2 in told.values() if chi2 - least < _MISSED * scale]
     logs = np.array([least - told[order][1] for order in _ORDERS]) / 2 / scale
-    return [_unsure([told[order][0] for order in _ORDERS], logs)]
+    return [_unsure([told[order][0] for order in _ORDERS], logs, int(np.argmax(logs)))]
 
 
-def _unsure(found: Sequence[OfVariance], logs: np.ndarray) -> OfVariance:
-    """The likeliest of curves of several orders, with what the others add to its errors. logs: of how likely
-    each is."""
-    n, weights = int(np.argmax(logs)), np.exp(logs - np.max(logs))
+def _unsure(found: Sequence[OfVariance], logs: np.ndarray, n: int) -> OfVariance:
+    """The curve of number n, of some order, with what those of the others add to its errors. logs: of how
+    likely each is."""
+    weights = np.exp(logs - np.max(logs))
     # Between two of those that are tried neither is known better than by half of what they are apart.
     near = slice(max(n - 1, 0), n + 2)
     unsure, order_error = (
@@ -195,6 +195,8 @@ def response_score(
     gain = bent.gain if borne_out else 0.0
     loss, error = bent.loss, bent.error
     more = {"order": (bent.order, "1", bent.order_error)} if bent.order != 1 else {}
+    if found is not None:  # as sure as those frames are
+        more = {name: value for name, value in found.parameters.items() if name == "order"}
     if gain:
         weights = np.array([bent.error, straight.error]) ** -2.0
         loss, error = np.average((bent.loss, straight.loss), weights=weights), weights.sum() ** -0.5
@@ -225,14 +227,15 @@ def _other_order(
     """Of curves between which the variance does not choose the one that the means bear out best, None where
     they bear out none: each has its share of the chance."""
     told = [(bent, by_mean(*_rates(points, seconds, bent, span))) for bent in allowed]
-    chance = (1 - _SURE) / max(len(told), 1)
-    borne = [(bent, s) for bent, s in told if s is not None and _bears_out(s, bent, chance)]
-    if not borne:
+    known = [(bent, straight) for bent, straight in told if straight is not None]
+    chance = (1 - _SURE) / max(len(known), 1)
+    borne = np.array([_bears_out(straight, bent, chance) for bent, straight in known], bool)
+    if not borne.any():
         return None
     # Without a loss curves of all orders are one, so that their gains compare them.
-    logs = np.array([bent.gain - s.freedom * np.log(s.scatter) for bent, s in borne])
-    n = int(np.argmax(logs))
-    return _unsure([bent for bent, _ in borne], logs), borne[n][1]
+    logs = np.array([bent.gain - straight.freedom * np.log(straight.scatter) for bent, straight in known])
+    n = int(np.argmax(np.where(borne, logs, -np.inf)))
+    return _unsure([bent for bent, _ in known], logs, n), known[n][1]
 
 
 def _means(levels: Sequence[Level]) -> list[tuple[int, float]]:

@@ -93,6 +93,10 @@ def test_where_the_variance_does_not_choose_the_order_the_means_do(order, light)
     off = [(s.parameters["curvature"][0] - 0.03) / s.parameters["curvature"][2] for s in scores]
     assert np.max(np.abs(off)) < 4 and abs(np.mean(off)) < 1.5
     assert abs(np.mean([order_of(s.parameters) for s in scores]) - order) < 0.5
+    first = next(s for s in scores if "order" in s.parameters)
+    said = recorded(rng, loss=0.03, order=order, light=light, pixels=4200)
+    again = signature(said.baselines).score_again(lit(light), first)
+    assert again.parameters["order"] == first.parameters["order"] and again.parameters["order"][2] > 0
 
 
 def test_a_lamp_bears_out_a_variance_that_bends_by_itself_by_chance_alone():
