@@ -76,7 +76,7 @@ def _drawing_quickly():
     fast, the same codes."""
     import jax
 
-    from cannoise_jax.physics.core import sensor, sensor_draws
+    from cannoise_jax.physics.core import poisson_gaussian, sensor, sensor_draws
 
     def quick(name):
         plain = getattr(sensor_draws, name)
@@ -91,6 +91,10 @@ def _drawing_quickly():
 
     for name in ("sample_codes", "sample_analogue"):
         setattr(sensor, name, quick(name))
+    # The hundred steps of random bits in one program where they are drawn outside of any: whole numbers, so
+    # that they are the same.
+    bits = jax.jit(poisson_gaussian.random_bits, static_argnums=1, inline=True)
+    poisson_gaussian.random_bits = bits
 
 
 _drawing_quickly()
