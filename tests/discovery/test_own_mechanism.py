@@ -331,7 +331,10 @@ def test_p_is_uniform_without_an_effect(own):
     assert p.min() > 1e-5
 
 
-@pytest.mark.parametrize("acts_on, combine", [("signal", "add"), ("charge", "add"), ("charge", "multiply")])
+@pytest.mark.parametrize(
+    "acts_on, combine",
+    [("signal", "add"), pytest.param("charge", "add", marks=pytest.mark.slow), ("charge", "multiply")],
+)
 def test_a_pattern_is_handed_over_in_the_unit_that_it_acts_on(acts_on, combine):
     """Planted in DN; of charge it is in electrons, of a factor in shares of the signal."""
     stage = "pixel" if acts_on == "charge" else "readout"

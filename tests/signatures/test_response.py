@@ -82,7 +82,7 @@ def test_a_curve_that_is_no_parabola_is_found_and_measured(order):
     assert order_of(few.score_again(FIELDS, scores[0]).parameters) == order
 
 
-@pytest.mark.parametrize("order", [1.0, 2.0, 3.0])
+@pytest.mark.parametrize("order", [1.0, pytest.param(2.0, marks=pytest.mark.slow), 3.0])
 def test_a_variance_that_bends_by_itself_is_no_curve_of_any_order(order):
     """The order is that of the variance: the means are asked once, with one chance in twenty."""
     rng = np.random.default_rng(8)
