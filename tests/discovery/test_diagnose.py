@@ -45,7 +45,7 @@ def test_nothing_is_found_where_nothing_is(sets, most):
 @pytest.mark.parametrize(
     "mechanism, alter, amplitude",
     [
-        ("row_noise", row_offsets(1.2), 1.2),
+        pytest.param("row_noise", row_offsets(1.2), 1.2, marks=pytest.mark.slow),
         pytest.param("column_fpn", column_pattern(1.0), 1.0, marks=pytest.mark.slow),
         ("prnu", response_map(0.006), 0.006),
         pytest.param("dsnu", offset_map(2.5), 2.5, marks=pytest.mark.slow),

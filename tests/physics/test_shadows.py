@@ -35,7 +35,7 @@ def taken(light, cfa="MONO", seed=1, own=1.0):
     return out
 
 
-@pytest.mark.parametrize("cfa", ["MONO", "RGGB"])
+@pytest.mark.parametrize("cfa", [pytest.param("MONO", marks=pytest.mark.slow), "RGGB"])
 def test_shadows_of_dust_are_named_and_no_sensitivities(cfa):
     statistics = taken(LENS * dust(40, 45, 5, 0.15) * dust(90, 30, 8, 0.08), cfa)
     said = shadows_line(statistics)

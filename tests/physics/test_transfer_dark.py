@@ -143,7 +143,7 @@ def test_an_interval_through_three_exposures_is_as_wide_as_the_noise_makes_it(se
 
 
 def test_what_moves_all_of_a_frame_is_no_less_for_four_channels():
-    for seed in range(4):
+    for seed in range(2):
         darks = three_exposures(seed, wander=4.0)
         one, all = (dark_series(darks, c, [0.25] * len(c)).mean_error for c in ([0], range(4)))
         assert np.all(all > 0.8 * one) and np.all(one > 0.3)

@@ -94,7 +94,7 @@ def test_a_variance_that_bends_by_itself_is_no_curve_of_any_order(order):
 def test_the_loss_of_a_photon_transfer_curve_is_told_with_its_error():
     rng = np.random.default_rng(1)
     off = []
-    for _ in range(200):
+    for _ in range(80):
         (base,) = recorded(rng, loss=0.04).baselines
         curves = [
             (
@@ -106,7 +106,7 @@ def test_the_loss_of_a_photon_transfer_curve_is_told_with_its_error():
         ]
         told = by_variance(curves, SPAN)
         off.append((told.loss - 0.04) / told.error)
-    assert abs(np.mean(off)) < 0.25 and 0.8 < np.std(off) < 1.1
+    assert abs(np.mean(off)) < 0.35 and 0.75 < np.std(off) < 1.2
 
 
 def test_the_loss_of_means_follows_students_law_whatever_the_lamp():
@@ -132,10 +132,10 @@ def test_a_lamp_or_a_variance_that_bends_by_itself_is_none():
     """The steadiness of the lamp is as often above as below that of means which would follow the loss."""
     rng = np.random.default_rng(4)
     named = [
-        score_of(recorded(rng, lost=0.15, lamp=lamp)).gain > 0 for lamp in (1e-3, 0.01) for _ in range(60)
+        score_of(recorded(rng, lost=0.15, lamp=lamp)).gain > 0 for lamp in (1e-3, 0.01) for _ in range(20)
     ]
-    assert np.mean(named) < 0.1
-    straight = [score_of(recorded(rng, lamp=lamp)).log_p for lamp in (1e-3, 0.01) for _ in range(60)]
+    assert np.mean(named) < 0.15  # of one in twenty: as many have a probability of 0.014
+    straight = [score_of(recorded(rng, lamp=lamp)).log_p for lamp in (1e-3, 0.01) for _ in range(20)]
     assert min(straight) > np.log(1e-3)
     # Flats that get too bright too soon, as of a lamp that warms up: the variance knows of nothing.
     assert score_of(recorded(rng, light=LIGHT * (1 - 0.1 * LIGHT / SPAN))).gain < 4

@@ -49,6 +49,7 @@ def test_a_steady_rise_has_its_size_however_little_the_pixels_differ(spread):
             assert np.allclose(shared / np.trace(shared) * len(shared), np.eye(len(shared)), atol=0.01)
 
 
+@pytest.mark.slow
 def test_frames_of_one_temperature_are_not_warm_by_their_offsets():
     """Beside a map of the dark current, whose pixels have more noise: an offset is less of it in these."""
 
