@@ -61,7 +61,11 @@ def test_equal_laws_match(kinds):
 
 @pytest.mark.parametrize(
     "alter, name",
-    [(rows(1.0), "rows"), (fixed(1.5), "fixed pattern of single pixels"), (tails(1.5), "heavy tails")],
+    [
+        (rows(1.0), "rows"),
+        pytest.param(fixed(1.5), "fixed pattern of single pixels", marks=pytest.mark.slow),
+        (tails(1.5), "heavy tails"),
+    ],
 )
 def test_too_little_and_too_much_are_told_apart(plain, alter, name):
     little = compare(capture_set(33, alter, kinds="d"), camera(), KEY)

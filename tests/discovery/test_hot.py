@@ -106,6 +106,7 @@ def test_strength_on_new_frames_covers_the_truth(share, mean, cameras):
     assert low <= np.sum(np.abs(errors) < 1.645) <= high
 
 
+@pytest.mark.slow
 def test_strength_covers_the_truth_where_hot_pixels_have_shot_noise_of_their_own():
     """Heat of up to a hundred standard deviations, whose own noise is then ten times that of other pixels."""
     rng = np.random.default_rng(21)
