@@ -39,7 +39,7 @@ def test_offsets_of_regions_are_found_with_their_strength(taps, axis):
 @pytest.mark.parametrize(
     "shape",
     [
-        pytest.param("fall", marks=pytest.mark.slow),
+        "fall",
         pytest.param("wave", marks=pytest.mark.slow),
         pytest.param("noise of columns", marks=pytest.mark.slow),
     ],
@@ -125,7 +125,7 @@ def tiles(rng):
         pytest.param(tear, marks=pytest.mark.slow),
         pytest.param(clouds, marks=pytest.mark.slow),
         pytest.param(fall, marks=pytest.mark.slow),
-        pytest.param(tiles, marks=pytest.mark.slow),
+        tiles,
     ],
 )
 def test_other_fields_that_move_are_no_regions(image):
