@@ -9,6 +9,7 @@ import gc
 import json
 import os
 import shutil
+import sys
 import tempfile
 from functools import wraps
 from importlib.metadata import version
@@ -107,23 +108,26 @@ def pytest_addoption(parser):
 
 
 FIRST = (
-    "discovery/test_own_mechanism",
     "blind/test_development",
     "training/test_loop",
-    "discovery/test_diagnose",
-    "test_sampling",
-    "training/test_level",
-    "discovery/test_model",
-    "discovery/test_report",
-    "commands/test_denoise",
-    "evaluation/test_model_suites",
-    "commands/test_fleet",
+    "discovery/test_own_mechanism",
     "commands/test_train",
-    "commands/test_diagnose",
+    "discovery/test_report",
+    "training/test_level",
+    "discovery/test_diagnose",
+    "commands/test_fleet",
+    "evaluation/test_model_suites",
+    "commands/test_denoise",
+    "test_sampling",
     "training/test_step",
+    "commands/test_diagnose",
+    "fuzz/test_fuzz",
+    "discovery/test_model",
+    "discovery/test_signature_laws",
+    "physics/test_mechanisms",
+    "physics/test_closed_forms",
     "commands/test_sample",
     "training/test_devices",
-    "fuzz/test_fuzz",
 )
 """Files that take minutes: begun first, so that no process is left alone with one of them at the end."""
 
@@ -160,6 +164,17 @@ def no_signs_of_life(request, monkeypatch):
     compared."""
     if request.path.name != "test_pulse.py":
         monkeypatch.setattr("cannoise_jax.commands.pulse.QUIET_S", float("inf"))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def a_lighter_search():
+    """Two threads of each of two processes take turns on two cores: a quarter more work, no sooner done. The
+    composite score learns from a quarter of its draws: no test asks it for the last thousandth of a nat."""
+    if "cannoise_jax.discovery" in sys.modules:  # else nothing searches
+        from cannoise_jax.discovery.frames import threads
+        from cannoise_jax.discovery.proof import quality
+
+        threads.WORKERS, quality._LEARNED = 1, 100_000
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from cannoise_jax.trials import develop as development
 from cannoise_jax.trials.develop import HIGHER_IS_BETTER, develop, worse
 
 pytest.importorskip("getframes", reason="getframes is not installed: pip install 'cannoise-jax[blind]'")
@@ -19,7 +20,18 @@ def test_figures_are_compared_in_their_own_direction():
     assert not worse({**good, "named": 6, "errors": 4}, good)
 
 
-@pytest.mark.parametrize("name", ["fast", pytest.param("slow", marks=pytest.mark.slow)])
+def test_the_claims_of_a_search_that_finds_nothing_are_counted_and_fall_behind(tmp_path, monkeypatch):
+    monkeypatch.setitem(development.SETS, "fast", (2001, 3, 1))
+    for search in ("diagnosed", "located"):
+        monkeypatch.setattr(development, search, lambda *asked, **more: {"findings": []})
+    found = develop("fast", tmp_path, lambda done, total: None)
+    assert found == dict.fromkeys(HIGHER_IS_BETTER, 0)
+    behind = ("named", "seen", "both_of_two", "unknown_flagged")
+    assert worse(found, RECORDED["fast"]) == [f"{n}: 0, recorded {RECORDED['fast'][n]}" for n in behind]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["fast", "slow"])
 def test_development_sets_come_out_no_worse_than_recorded(name, tmp_path):
     if name not in RECORDED:
         pytest.skip("no figures yet: bin/blind develop --slow --figures tests/blind/recorded.json")

@@ -76,19 +76,19 @@ def test_the_injectors_names_mean_what_the_vocabulary_says():
 
 def test_seal_commits_to_a_truth_kept_elsewhere(tmp_path):
     sets, truth = tmp_path / "sets", tmp_path / "truth.json"
-    commitment = seal(sets, truth, seed=3, sets=4, nulls=0, progress=lambda done, total: None)
+    commitment = seal(sets, truth, seed=3, sets=2, nulls=0, progress=lambda done, total: None)
     manifest = json.loads((sets / "manifest.json").read_text())
     assert hashlib.sha256(truth.read_bytes()).hexdigest() == commitment == manifest["truth_sha256"]
     opened = json.loads(truth.read_text())
-    assert len(opened["salt"]) >= 32 and len(opened["sets"]) == 4 == len(manifest["sets"])
+    assert len(opened["salt"]) >= 32 and len(opened["sets"]) == 2 == len(manifest["sets"])
     beside = "".join(p.read_text() for p in sets.rglob("*.json"))
     assert "amplitude" not in beside and "category" not in beside
     with pytest.raises(BadInput, match="not empty"):
-        seal(sets, tmp_path / "other.json", 3, 4, 0, lambda done, total: None)
+        seal(sets, tmp_path / "other.json", 3, 2, 0, lambda done, total: None)
     with pytest.raises(BadInput, match="exists already"):
-        seal(tmp_path / "again", truth, 3, 4, 0, lambda done, total: None)
+        seal(tmp_path / "again", truth, 3, 2, 0, lambda done, total: None)
     with pytest.raises(BadInput, match="inside the sets"):
-        seal(tmp_path / "again", tmp_path / "again" / "truth.json", 3, 4, 0, lambda done, total: None)
+        seal(tmp_path / "again", tmp_path / "again" / "truth.json", 3, 2, 0, lambda done, total: None)
 
 
 def test_files_look_the_same_with_and_without_an_effect(tmp_path):

@@ -22,7 +22,8 @@ CI = str(Path(__file__).resolve().parents[2] / "configs" / "ci.py")
 
 def test_a_run_ends_with_table_picture_and_results(tmp_path, capsys):
     folder = tmp_path / "run"
-    assert train.main(["--workdir", str(folder), "--config", CI]) == 0
+    once = "--config.evaluate_every=6"
+    assert train.main(["--workdir", str(folder), "--config", CI, once]) == 0
     printed = capsys.readouterr().out
     assert "PG published" in printed and "wrong refs." in printed and "pooled" in printed
     assert (folder / "noise.png").stat().st_size > 10_000

@@ -288,7 +288,7 @@ def test_an_offset_map_that_repeats_is_no_map_of_single_pixels():
     assert against is not None and against.left > 0.25 and "repeats" in against.against[0]
 
 
-@pytest.mark.parametrize("where", ["anywhere", "edge columns"])
+@pytest.mark.parametrize("where", [pytest.param("anywhere", marks=pytest.mark.slow), "edge columns"])
 def test_pixels_that_lie_in_few_columns_are_no_single_pixels(where):
     rng = np.random.default_rng(6)
     chosen = rng.random((96, 128)) < 0.02 if where == "anywhere" else np.arange(128) < 3

@@ -56,7 +56,7 @@ def test_the_baseline_of_a_camera(read, black, step):
         pytest.param("asi178", marks=pytest.mark.slow),
         pytest.param("asi120", marks=pytest.mark.slow),
         pytest.param("imx541", marks=pytest.mark.slow),
-        "stl1001",
+        pytest.param("stl1001", marks=pytest.mark.slow),
         "scmos_live",
     ],
 )

@@ -38,7 +38,9 @@ def told(alter, name, seed):
 @pytest.mark.parametrize(
     "alter, name, scales, power, share",
     [
-        (row_offsets(2.0), "row_additive_temporal", "additive", 0.0, (0.0, 0.1)),
+        pytest.param(
+            row_offsets(2.0), "row_additive_temporal", "additive", 0.0, (0.0, 0.1), marks=pytest.mark.slow
+        ),
         (row_gains(0.01), "row_relative_temporal", "signal", 1.0, (0.0, 0.1)),
         (column_pattern(2.0), "column_additive_static", "additive", 0.0, (0.9, 1.0)),
     ],

@@ -89,7 +89,8 @@ def test_a_dead_column_in_broad_flats_leaves_no_comb(seed):
     assert comb is not None and comb.log_p > -7
 
 
-@pytest.mark.parametrize("share", [0.0, 0.01])
+@pytest.mark.slow
+@pytest.mark.parametrize("share", [pytest.param(0.0, marks=pytest.mark.slow), 0.01])
 def test_pixels_that_jump_are_told_beside_a_comb(share):
     """A comb makes no pixel louder than others: what jumps by several codes is not its doing."""
 

@@ -61,7 +61,11 @@ def test_equal_laws_match(kinds):
 
 @pytest.mark.parametrize(
     "alter, name",
-    [(rows(1.0), "rows"), (fixed(1.5), "fixed pattern of single pixels"), (tails(1.5), "heavy tails")],
+    [
+        (rows(1.0), "rows"),
+        pytest.param(fixed(1.5), "fixed pattern of single pixels", marks=pytest.mark.slow),
+        (tails(1.5), "heavy tails"),
+    ],
 )
 def test_too_little_and_too_much_are_told_apart(plain, alter, name):
     little = compare(capture_set(33, alter, kinds="d"), camera(), KEY)
@@ -89,7 +93,7 @@ def slope(dn_across):
     return lambda rng: lambda dn, *_: dn + dn_across * np.linspace(-0.5, 0.5, dn.shape[-1])
 
 
-@pytest.mark.parametrize("fall", [-3.0, 3.0])
+@pytest.mark.parametrize("fall", [pytest.param(-3.0, marks=pytest.mark.slow), 3.0])
 def test_what_may_have_either_sign_is_too_little_where_it_is_smaller(plain, fall):
     for recorded, drawn, sign in ((slope(fall), None, 1), (None, slope(fall), -1)):
         shown = plain if recorded is None else capture_set(33, recorded, kinds="d")

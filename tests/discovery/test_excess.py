@@ -71,6 +71,7 @@ def wave(down, across, peak=1.5):
     return law
 
 
+@pytest.mark.slow
 def test_a_wave_at_another_frequency_is_not_that_of_the_simulator():
     """The recordings have one as strong, elsewhere."""
     assert names(wave(0.31, 0.11), wave(0.17, 0.23)) == ["banding"]
@@ -84,6 +85,7 @@ def glow(rate):
     return lambda rng: lambda dn, signal, kind, exposure: dn + rng.poisson(shape * rate * exposure)
 
 
+@pytest.mark.slow
 def test_a_glow_that_the_recordings_lack_is_too_much():
     assert "amp_glow" in names(None, glow(800.0))
     assert not names(glow(800.0), glow(800.0))

@@ -106,6 +106,7 @@ def test_strength_on_new_frames_covers_the_truth(share, mean, cameras):
     assert low <= np.sum(np.abs(errors) < 1.645) <= high
 
 
+@pytest.mark.slow
 def test_strength_covers_the_truth_where_hot_pixels_have_shot_noise_of_their_own():
     """Heat of up to a hundred standard deviations, whose own noise is then ten times that of other pixels."""
     rng = np.random.default_rng(21)
@@ -298,7 +299,7 @@ def test_a_map_of_dark_current_holds_how_the_sites_of_the_mosaic_differ():
 def test_darks_cut_off_at_black_show_hot_pixels_and_make_none(hot):
     """Half of all values lie at code 0, offsets of pixels among them: the means of two frames are skewed."""
     rng = np.random.default_rng(11)
-    for _ in range(3):
+    for _ in range(2):
         heat = (rng.random(SIZE) < hot) * rng.exponential(20.0, SIZE)
         level = 0.5 + rng.normal(0, 0.3, SIZE) + heat
         frames = np.round(np.maximum(level + rng.normal(0, 1.75, (2, *SIZE)), 0))

@@ -46,10 +46,15 @@ def told(tables, mechanism, what, measured, expected):
 
 
 @pytest.mark.parametrize("mechanism", FIRST)
-def test_the_mean_is_shifted_by_five(mechanism, tables):
-    shift, error = shifts(FIRST, NULLS, PAIRS)[mechanism]
-    told(tables, mechanism, SHIFT, f"{shift:.2f} ± {error:.2f}", "5")
-    assert shift == pytest.approx(5, abs=0.3), (shift, error)
+@pytest.mark.parametrize(
+    ("nulls", "near"), [(NULLS // 3, 0.5), pytest.param(NULLS, 0.3, marks=pytest.mark.slow)]
+)
+def test_the_mean_is_shifted_by_five(mechanism, nulls, near, tables):
+    """near: the spread of fewer frames is less certain."""
+    shift, error = shifts(FIRST, nulls, PAIRS)[mechanism]
+    if nulls == NULLS:
+        told(tables, mechanism, SHIFT, f"{shift:.2f} ± {error:.2f}", "5")
+    assert shift == pytest.approx(5, abs=near), (shift, error)
 
 
 @pytest.mark.slow

@@ -49,7 +49,7 @@ def found(capture, without=()):
 @pytest.mark.parametrize(
     "alter, hidden, expected",
     [
-        (row_offsets(2.0), (), "row_noise"),
+        pytest.param(row_offsets(2.0), (), "row_noise", marks=pytest.mark.slow),
         pytest.param(
             row_offsets(2.0),
             ("row_noise", "row_pink_noise"),
@@ -172,6 +172,7 @@ def test_the_written_model_is_no_mismatch_to_its_own_recordings(tmp_path):
     assert run.findings == ["row_noise"] and again.findings == []
 
 
+@pytest.mark.slow
 def test_a_function_gains_by_the_composite_score_and_has_no_likelihood():
     capture = capture_set(56, row_offsets(4.0), kinds="f", frames=4, size=(64, 96))
     capture = dataclasses.replace(capture, recordings=capture.recordings[:2])

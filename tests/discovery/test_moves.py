@@ -66,7 +66,11 @@ def remembering(memory):
 
 @pytest.mark.parametrize(
     ("alter", "frames", "doubted"),
-    [(remembering(0.8), 10, True), (remembering(0.8), 3, True), (row_offsets(SIGMA), 10, False)],
+    [
+        pytest.param(remembering(0.8), 10, True, marks=pytest.mark.slow),
+        (remembering(0.8), 3, True),
+        (row_offsets(SIGMA), 10, False),
+    ],
 )
 def test_rows_that_remember_the_frame_before_are_no_row_noise(alter, frames, doubted):
     full, less = drawn(alter, "row_noise", frames, sigma_dn=SIGMA)

@@ -209,7 +209,13 @@ def planted(which, sigma):
 @pytest.mark.parametrize(
     "sample, sigma, point, unit",
     [
-        (response, 0.02, Point("readout", "signal", "row", "frozen", "multiply"), "1"),
+        pytest.param(
+            response,
+            0.02,
+            Point("readout", "signal", "row", "frozen", "multiply"),
+            "1",
+            marks=pytest.mark.slow,
+        ),
         (leaks, 20.0, Point("readout", "signal", "column", "frozen"), "DN/s"),
         (crossed, 2.0, Point("readout", "signal", "antidiagonal", "redrawn"), "DN"),
     ],
@@ -270,7 +276,7 @@ def test_one_of_the_capture_is_found_and_is_not_in_the_camera_model():
 
 @pytest.mark.parametrize(
     "over",
-    [pytest.param(s, marks=() if s in ("row", "block", "channel") else pytest.mark.slow) for s in SITES],
+    [pytest.param(s, marks=() if s in ("row", "block") else pytest.mark.slow) for s in SITES],
 )
 def test_it_is_reported_where_it_varies(over):
     record = mechanism_from_grammar(Point("readout", "signal", over, "redrawn"), id="own", default=1.0)
@@ -325,7 +331,10 @@ def test_p_is_uniform_without_an_effect(own):
     assert p.min() > 1e-5
 
 
-@pytest.mark.parametrize("acts_on, combine", [("signal", "add"), ("charge", "add"), ("charge", "multiply")])
+@pytest.mark.parametrize(
+    "acts_on, combine",
+    [("signal", "add"), pytest.param("charge", "add", marks=pytest.mark.slow), ("charge", "multiply")],
+)
 def test_a_pattern_is_handed_over_in_the_unit_that_it_acts_on(acts_on, combine):
     """Planted in DN; of charge it is in electrons, of a factor in shares of the signal."""
     stage = "pixel" if acts_on == "charge" else "readout"

@@ -112,6 +112,7 @@ def test_a_wrong_scale_is_of_rows_columns_and_all_else_alike():
     assert rows.score(prepared.fields).log_p > -5
 
 
+@pytest.mark.slow
 def test_crosstalk_keeps_its_name_beside_columns(monkeypatch):
     """The camera model holds the blur of the scenes: drawn once more as an error of the references it would
     be there twice, and against the name."""

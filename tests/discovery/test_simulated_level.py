@@ -25,7 +25,9 @@ def taken(seed, rate, rows=0.0, black=300.0):
     return CaptureSet("made", tuple(own))
 
 
-@pytest.mark.parametrize(("drawn", "missing"), [(0.5, 0.0), (0.2, 0.3), (0.0, 0.5)])
+@pytest.mark.parametrize(
+    ("drawn", "missing"), [pytest.param(0.5, 0.0, marks=pytest.mark.slow), (0.2, 0.3), (0.0, 0.5)]
+)
 def test_a_dark_current_counts_beyond_that_of_the_simulator(drawn, missing):
     looking = splits_of(taken(1, 0.5), True, taken(2, drawn)).looking
     score = locate(looking.fields, looking.signatures).scores["dark_level"]
@@ -54,7 +56,7 @@ def test_rows_of_the_simulator_make_its_level_less_sure():
     assert errors[1] > 2 * errors[0]
 
 
-@pytest.mark.parametrize("level", [299.0, 300.0, 301.5])
+@pytest.mark.parametrize("level", [pytest.param(299.0, marks=pytest.mark.slow), 300.0, 301.5])
 def test_a_black_level_counts_against_that_of_the_simulator(level):
     """Whatever the files state, and whatever dark current both have."""
     looking = splits_of(taken(1, 0.5), True, taken(2, 0.5, black=level)).looking
@@ -64,7 +66,7 @@ def test_a_black_level_counts_against_that_of_the_simulator(level):
     assert (score.log_p < -20) == (level != 300.0)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in (1, 2))])
 def test_the_chance_mean_of_rows_that_a_simulator_draws_is_no_black_level(seed):
     """Its rows move the mean of a few frames as a whole."""
     drawn = taken(20 + seed, 0.5)

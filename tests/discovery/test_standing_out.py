@@ -50,6 +50,7 @@ def bombarded(rng):
     return change
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_pixels_that_are_hit_twice_are_not_hot(seed):
     names = [s.named.mechanism for s in found(capture_set(seed, bombarded, kinds="df", frames=12))[1]]

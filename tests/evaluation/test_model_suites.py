@@ -37,7 +37,7 @@ def request_():
     model = make_model(generator, generated, encoder, encoded)
     everything = baselines(bench)
     draws = {name: everything[name] for name in ("truth", "pg", "pg_estimated", "pg_recalibrated")}
-    return Request(bench, draws, (model,), seeds=2, references=2, ablations={"nothing": (model,)})
+    return Request(bench, draws, (model,), seeds=1, references=2, ablations={"nothing": (model,)})
 
 
 def test_a_part_that_does_nothing_is_worth_nothing(request_):

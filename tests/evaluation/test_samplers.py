@@ -35,8 +35,15 @@ def test_every_image_is_encoded_once_and_goes_where_it_is_asked_for():
     assert (np.asarray(sample(None, None, images[right], None)[1].known) == 0).all()
 
 
-@pytest.mark.parametrize("way", ["usual", "given"])
-@pytest.mark.parametrize("references", [1, 3])
+@pytest.mark.parametrize(
+    ("way", "references"),
+    [
+        ("usual", 3),
+        ("given", 1),
+        pytest.param("usual", 1, marks=pytest.mark.slow),
+        pytest.param("given", 3, marks=pytest.mark.slow),
+    ],
+)
 def test_a_model_in_parts_is_sample_noise(way, references):
     model, key = small_model(), jax.random.key(3)
     clean = jnp.stack([scene(32, 32), scene(32, 32)[::-1]])

@@ -25,7 +25,7 @@ from tests.fuzz.samples import FIELDS, frames, native
 from tests.fuzz.test_fuzz import Worker, prepared
 from tests.recordings.folders.night import night
 
-FEW, MANY, SOME = 3, 200, 50
+FEW, MANY, SOME = 2, 200, 50
 WRITING = tuple(f"cannoise_jax/recordings/{name}.py" for name in ("atomic", "native", "unfinished"))
 TRAINING = (*WRITING, "cannoise_jax/training", "cannoise_jax/commands/train.py")
 CODE = (

@@ -199,9 +199,11 @@ def test_statistics_tell_level_tails_rows_and_neighbours_apart():
     louder = moved(1.3 * white)
     assert louder[levels].max() > 20 and louder[kurtosis].max() < 5
     assert moved(tails)[kurtosis].max() > 10
-    assert moved(white + 0.3 * row)[rows].min() > 5 > moved(white + 0.3 * row)[columns].max()
+    by_rows = moved(white + 0.3 * row)
+    assert by_rows[rows].min() > 5 > by_rows[columns].max()
     column = np.tile(rng.normal(size=(n, 1, side, 2)), 2)
-    assert moved(white + 0.3 * column)[columns].min() > 5 > moved(white + 0.3 * column)[rows].max()
+    by_columns = moved(white + 0.3 * column)
+    assert by_columns[columns].min() > 5 > by_columns[rows].max()
     pairs = np.repeat(rng.normal(size=(n, side, 1, 1)), 4, -1)  # the two sensor rows of a cell alike
-    assert moved(white + 0.3 * pairs)[next_rows].min() > 5 > moved(white + 0.3 * row)[next_rows].max()
+    assert moved(white + 0.3 * pairs)[next_rows].min() > 5 > by_rows[next_rows].max()
     assert moved(smooth)[horizontal].min() > 10

@@ -54,7 +54,20 @@ def drawn(model: SensorModel, clean: np.ndarray) -> np.ndarray:
     return np.asarray(y, np.float64)
 
 
-@pytest.mark.parametrize("name", PAIRS)
+BY_DEFAULT = (
+    "full at the mean",
+    "nonlinearity",
+    "prnu + saturation",
+    "dark + nonlinearity",
+    "row + denoising",
+    "prnu + dsnu + dark",
+    "stretch + row",
+)
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=() if n in BY_DEFAULT else pytest.mark.slow) for n in PAIRS]
+)
 def test_closed_form_of_a_composition_is_what_is_drawn(name):
     model, clean = model_of(name), np.full(SIZE, 0.2, np.float32)
     context = context_of(model, jnp.asarray(clean)[None], SETTINGS)

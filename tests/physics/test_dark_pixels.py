@@ -41,7 +41,7 @@ def recorded(current, seed, glow=0.0, plan=tuple((s, 10) for s in SECONDS), read
 def calibrated(captures):
     (transfer,) = photon_transfer(captures)
     findings = find_mechanisms(transfer.statistics, transfer.baseline, LISTED)
-    return {f.mechanism: f for f in findings}, sensor_model([transfer], findings)
+    return {f.mechanism: f for f in findings}, sensor_model([transfer], findings), transfer
 
 
 @pytest.mark.parametrize(
@@ -58,7 +58,7 @@ def test_the_tail_of_the_dark_currents_is_not_hot(rate, variation, hot):
     heat = (rng.random(SIZE) < hot) * rng.exponential(60.0, SIZE)
     current = log_normal(rng, rate, variation)
     captures = recorded(current + heat, 3)
-    found, model = calibrated(captures)
+    found, model, _ = calibrated(captures)
     dark = found["dark_current"].measured
     assert dark["e_per_s"].value == pytest.approx(rate, rel=0.03)
     low, high = dark["variation"].ci90
@@ -92,7 +92,7 @@ def test_few_frames_tell_the_mean_and_the_spread_of_dark_currents(variation, fra
     rng = np.random.default_rng(int(100 * variation) + frames)
     current = log_normal(rng, 15.0, variation)
     captures = recorded(current, 4, plan=((0.02, frames), (0.6, frames), (1.5, frames)), read=6.0)
-    found, model = calibrated(captures)
+    found, model, _ = calibrated(captures)
     dark = found["dark_current"].measured
     assert dark["e_per_s"].value == pytest.approx(current.mean(), rel=0.02)
     assert found["hot_pixels"].measured is None
@@ -112,7 +112,7 @@ def test_few_frames_tell_the_mean_and_the_spread_of_dark_currents(variation, fra
 )
 def test_a_glow_is_no_dark_current_and_no_pattern(peak, length, rate):
     glow = peak * np.exp(-np.hypot(*np.mgrid[: SIZE[0], : SIZE[1]]) / length)
-    found, model = calibrated(recorded(rate, 5, glow))
+    found, model, _ = calibrated(recorded(rate, 5, glow))
     there = {id for id, f in found.items() if f.measured is not None}
     assert there <= {"amp_glow", "dark_current"} and "amp_glow" in there
     assert found["amp_glow"].measured["e_per_s"].value == pytest.approx(peak, rel=0.03)
@@ -131,10 +131,9 @@ def test_the_dark_current_is_that_of_the_pixels_that_are_not_hot():
     hot = rng.random(SIZE) < 1e-3
     assert max(hot[i::2, j::2].sum() for i in (0, 1) for j in (0, 1)) < 10
     captures = recorded(np.where(hot, 30.0 * current, current), 6)
-    found, _ = calibrated(captures)
+    found, _, transfer = calibrated(captures)
     truth = float(current[~hot].mean())
     assert found["dark_current"].measured["e_per_s"].value == pytest.approx(truth, rel=0.008)
-    (transfer,) = photon_transfer(captures)
     said = [q.outcome.value for q in transfer.quantities if q.name == "dark current, by mean"]
     assert np.mean(said) == pytest.approx(truth, rel=0.008)
     low, high = found["hot_pixels"].measured["e_per_s"].ci90

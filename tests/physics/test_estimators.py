@@ -79,7 +79,10 @@ def test_what_is_missing_is_said_in_view_of_what_was_given():
 
 @pytest.mark.parametrize(
     "id",
-    [pytest.param(i, marks=pytest.mark.slow if i in ("hot_pixels", "pink_noise") else ()) for i in SLICE],
+    [
+        pytest.param(i, marks=pytest.mark.slow if i in ("hot_pixels", "pink_noise", "nonlinearity") else ())
+        for i in SLICE
+    ],
 )
 def test_intervals_hold_the_truth(id):
     # Of 16 intervals at 90 % fewer than 10 hold the truth once in 5000; the draws are fixed.

@@ -44,7 +44,7 @@ def test_the_curves_are_the_covariances_of_blended_noise(weight):
     np.testing.assert_allclose(found, _BLENDS[i, :3] / _BLENDS[i, 0], atol=0.01)
 
 
-@pytest.mark.parametrize(("images", "error"), [(1, 0.09), (6, 0.035)])
+@pytest.mark.parametrize(("images", "error"), [(1, 0.09), pytest.param(6, 0.035, marks=pytest.mark.slow)])
 def test_the_level_of_blended_noise_is_found_and_that_of_white_noise_left(images, error):
     """The residual reads 12 % and 22 % low; one image that is not sure is believed by half."""
     rng = np.random.default_rng(1)

@@ -54,7 +54,7 @@ def causes(stats):
 @pytest.mark.parametrize(
     "ids",
     [
-        ("heavy_tails",),
+        pytest.param(("heavy_tails",), marks=pytest.mark.slow),
         ("pixel_read_noise_map",),
         ("rts",),
         pytest.param(("heavy_tails", "pixel_read_noise_map"), marks=pytest.mark.slow),

@@ -32,7 +32,9 @@ def series(*celsius):
     return [recording("dark", s, c) for c in celsius for s in (0.001, 5.0, 30.0)]
 
 
-@pytest.mark.parametrize(("flat", "rate"), [(-10.0, 2.0), (0.0, 5.2), (None, 2.0)])
+@pytest.mark.parametrize(
+    ("flat", "rate"), [pytest.param(-10.0, 2.0, marks=pytest.mark.slow), (0.0, 5.2), (None, 2.0)]
+)
 def test_darks_as_warm_as_the_flats_give_the_dark_current(flat, rate):
     own = [*series(-10.0, 0.0), recording("flat", 0.001, flat, 8000.0)]
     (transfer,) = photon_transfer(CaptureSet("cooled", tuple(own)))

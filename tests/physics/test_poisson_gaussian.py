@@ -44,7 +44,17 @@ def test_quantiles_are_exact_but_for_rare_steps(mean):
     assert np.mean(ours != exact) < max(5e-4, 6e-8 * mean)
 
 
-@pytest.mark.parametrize("mean", [0.0, 1e-3, 0.1, 2.0, 5.0, 11.9])
+@pytest.mark.parametrize(
+    "mean",
+    [
+        0.0,
+        pytest.param(1e-3, marks=pytest.mark.slow),
+        0.1,
+        2.0,
+        pytest.param(5.0, marks=pytest.mark.slow),
+        11.9,
+    ],
+)
 def test_the_most_extreme_uniforms_give_the_extreme_quantiles(mean):
     # The highest and lowest values that `centred_uniform` can return.
     last = np.arange(2**24 - 2**16, 2**24) - (2**23 - 0.5)

@@ -35,7 +35,7 @@ def taken(light, cfa="MONO", seed=1, own=1.0):
     return out
 
 
-@pytest.mark.parametrize("cfa", ["MONO", "RGGB"])
+@pytest.mark.parametrize("cfa", [pytest.param("MONO", marks=pytest.mark.slow), "RGGB"])
 def test_shadows_of_dust_are_named_and_no_sensitivities(cfa):
     statistics = taken(LENS * dust(40, 45, 5, 0.15) * dust(90, 30, 8, 0.08), cfa)
     said = shadows_line(statistics)
@@ -68,7 +68,7 @@ def test_patterns_of_the_whole_frame_are_no_shadows(what):
     assert shadows_line(taken(light * np.ones(SIZE), own=own)) == ""
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in (1, 2))])
 def test_shadows_over_a_tenth_of_a_small_frame_are_told_as_well(seed):
     """Four sharp discs of five to eleven pixels, with their skirts up to a quarter of the frame."""
     rng, light = np.random.default_rng(40 + seed), LENS.copy()
@@ -94,7 +94,7 @@ def rings(seed):
     return ndimage.gaussian_filter(light, 0.8)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in (1, 2))])
 def test_many_rings_of_dust_are_no_sensitivities_of_pixels_or_columns(seed):
     statistics = taken(rings(seed))
     assert "shadows as of dust" in shadows_line(statistics)

@@ -35,7 +35,9 @@ def test_high_pass_keeps_white_noise_and_cancels_planes():
     assert abs(np.mean(residual * np.asarray(local_mean(noise)))) < 0.01
 
 
-@pytest.mark.parametrize(("shot", "read"), [(1e-3, 1e-5), (8e-3, 1e-4), (2e-4, 4e-6)])
+@pytest.mark.parametrize(
+    ("shot", "read"), [pytest.param(1e-3, 1e-5, marks=pytest.mark.slow), (8e-3, 1e-4), (2e-4, 4e-6)]
+)
 def test_recovered_on_smooth_scenes(shot, read):
     rng = np.random.default_rng(1)
     y, x = np.mgrid[:64, :64] / 64

@@ -43,7 +43,7 @@ def boxed(frames):
     return ndimage.uniform_filter(frames, (1, 3, 3))
 
 
-@pytest.mark.parametrize("change", [blurred, boxed])
+@pytest.mark.parametrize("change", [pytest.param(blurred, marks=pytest.mark.slow), boxed])
 def test_smoothed_frames_are_said_and_have_no_noise_of_lines(change):
     (transfer,) = photon_transfer(recorded(change))
     assert any("processed, not raw" in line for line in doubts(transfer))
@@ -69,7 +69,9 @@ def median_of_few(frames):
     return np.where(frames > middle + 70, middle, frames)
 
 
-@pytest.mark.parametrize("change", [clamped, median_of_loud, median_of_few])
+@pytest.mark.parametrize(
+    "change", [clamped, median_of_loud, pytest.param(median_of_few, marks=pytest.mark.slow)]
+)
 def test_filters_of_loud_pixels_are_said_and_are_no_crosstalk(change):
     (transfer,) = photon_transfer(recorded(change, count=2 * FRAMES))
     said = " ".join(doubts(transfer))

@@ -42,7 +42,7 @@ def dark():
     return Recording(codes, "MONO", (BLACK,) * 4, 65535.0, "made", "bias", exposure_s=0.0)
 
 
-@pytest.mark.parametrize(("height", "number"), [(3000.0, 5), (500.0, 3)])
+@pytest.mark.parametrize(("height", "number"), [pytest.param(3000.0, 5, marks=pytest.mark.slow), (500.0, 3)])
 def test_stars_leave_gain_and_neighbours_alone(height, number):
     capture = CaptureSet("made", (flat(stars(height, number)), dark()))
     (transfer,), findings = calibrate(capture)

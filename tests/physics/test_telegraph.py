@@ -70,8 +70,8 @@ def test_the_mean_of_frames_keeps_what_lasts():
 
 def test_a_calibrated_unit_is_as_loud_and_as_uneven_at_its_telegraph_pixels_as_recorded():
     """Traps that are full in a sixth of the frames, of jumps between 20 and 60 DN, in pixels with offsets."""
-    rng, size = np.random.default_rng(8), (128, 160)
-    jumping, jump = rng.random(size) < 0.01, rng.uniform(20, 60, size)
+    rng, size = np.random.default_rng(8), (80, 128)
+    jumping, jump = rng.random(size) < 0.02, rng.uniform(20, 60, size)
     offset, taken = 1.5 * rng.standard_normal(size), []
     for kind, light, count in (("dark", 0.0, 16), ("flat", 400.0, 6), ("flat", 1500.0, 6)):
         values = 300 + offset + 0.5 * rng.poisson(light, (count, *size)) + rng.normal(0, 2, (count, *size))

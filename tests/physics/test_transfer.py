@@ -419,10 +419,10 @@ def test_pixels_whose_noise_is_below_a_code_are_not_said_to_be_noisier():
     assert "far noisier" not in format_transfer(photon_transfer(CaptureSet("c", tuple(made)))[0])
 
 
-@pytest.mark.parametrize(("kind", "most"), [("flat", 14), ("dark", 17)])
+@pytest.mark.parametrize(("kind", "most"), [pytest.param("flat", 14, marks=pytest.mark.slow), ("dark", 17)])
 def test_memory_of_a_pass_is_a_few_arrays_of_a_frame(kind, most):
     """Of the size of one frame in float64: frames may have tens of megapixels."""
-    frames = np.random.default_rng(2).normal(300, 9, (2, 1600, 2400)).astype(np.uint16)
+    frames = np.random.default_rng(2).normal(300, 9, (2, 1000, 1600)).astype(np.uint16)
     taken = Recording(frames, "RGGB", (200.0,) * 4, 4095.0, kind=kind, exposure_s=1.0)
     tracemalloc.start()
     frame_statistics(taken)

@@ -38,8 +38,15 @@ def lag(capture):
     return image_lag([frame_statistics(r) for r in capture.recordings])
 
 
-@pytest.mark.parametrize("share", (0.03, 0.2))
-@pytest.mark.parametrize("frames", (4, 12))
+@pytest.mark.parametrize(
+    ("share", "frames"),
+    [
+        (0.03, 12),
+        (0.2, 4),
+        pytest.param(0.03, 4, marks=pytest.mark.slow),
+        pytest.param(0.2, 12, marks=pytest.mark.slow),
+    ],
+)
 def test_the_share_and_the_gain_without_it(share, frames):
     capture = recordings(share, frames)
     found = lag(capture)["fraction"]

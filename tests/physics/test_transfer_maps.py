@@ -165,7 +165,7 @@ def test_rows_of_alternate_columns_are_no_wave():
     assert found["banding"].verdict != "in the model"
 
 
-@pytest.mark.parametrize("lines", [0.0, 0.003])
+@pytest.mark.parametrize("lines", [pytest.param(0.0, marks=pytest.mark.slow), 0.003])
 def test_maps_have_the_means_of_rows_and_columns_that_were_recorded(lines):
     """Of independent pixels too, beside columns that have gains of their own or not."""
     camera = BASE.with_mechanism("prnu", sigma=0.01)

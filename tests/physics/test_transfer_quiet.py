@@ -69,7 +69,7 @@ def test_noise_that_shows_at_two_codes_alone_is_bounded_from_above_only():
     [
         pytest.param(0.05, 0.0, marks=pytest.mark.slow),
         (0.12, 0.3),
-        (0.2, 0.0),
+        pytest.param(0.2, 0.0, marks=pytest.mark.slow),
         pytest.param(0.3, 0.3, marks=pytest.mark.slow),
     ],
 )
@@ -124,7 +124,7 @@ def test_offsets_that_round_are_no_sensitivities_of_a_dim_flat():
 @pytest.mark.parametrize(
     "level", [pytest.param(10.2, marks=pytest.mark.slow), 10.37, pytest.param(10.7, marks=pytest.mark.slow)]
 )
-@pytest.mark.parametrize("read", [0.16, 0.3])
+@pytest.mark.parametrize("read", [0.16, pytest.param(0.3, marks=pytest.mark.slow)])
 def test_the_model_of_darks_below_a_code_has_their_mean_and_the_light_its_own(level, read):
     """A black level between two codes is stored as a mean that light, which dithers, does not stand on."""
     rng = np.random.default_rng(round(100 * level + 10 * read))
@@ -149,7 +149,10 @@ def test_the_model_of_darks_below_a_code_has_their_mean_and_the_light_its_own(le
     assert not any("never change" in why for why in lacking)
 
 
-@pytest.mark.parametrize(("frames", "level"), [(2, 12.0), (2, 12.3), (3, 12.0), (5, 12.0)])
+@pytest.mark.parametrize(
+    ("frames", "level"),
+    [(2, 12.3), (5, 12.0), *(pytest.param(n, 12.0, marks=pytest.mark.slow) for n in (2, 3))],
+)
 def test_pairs_of_flats_and_darks_at_each_exposure_of_a_sensor_quieter_than_a_code(frames, level):
     """The set of EMVA 1288, of a sensor without colours: 0.36 DN of dark noise at 0.045 DN/e-."""
     rng, taken = np.random.default_rng(5), []

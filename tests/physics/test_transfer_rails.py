@@ -88,7 +88,9 @@ def drawn(level, sigma, count=8, seed=7):
     return Recording(frames, "MONO", (level,) * 4, 4095.0, kind="dark", exposure_s=1.0, path="dark.h5")
 
 
-@pytest.mark.parametrize("level, sigma", [(2.0, 0.8), (1.2, 0.4), (60.0, 20.0), (12.0, 4.0)])
+@pytest.mark.parametrize(
+    "level, sigma", [(2.0, 0.8), pytest.param(1.2, 0.4, marks=pytest.mark.slow), (60.0, 20.0), (12.0, 4.0)]
+)
 def test_darks_near_zero_whose_noise_ends_above_it_are_not_cut_off(level, sigma):
     """Noise of a code holds many a 0 that is no end of it; of many frames most pixels touch 0 once."""
     dark = drawn(level, sigma, count=40)

@@ -44,7 +44,11 @@ def test_flats_of_another_offset_are_told_by_noise_and_light(offset, cfa):
     assert isinstance(bent, NotMeasurable) and "two offsets" in bent.record
 
 
-@pytest.mark.parametrize("effect", ({}, {"loss": 0.05}, {"loss": 0.2}, {"late": 0.05}), ids=str)
+@pytest.mark.parametrize(
+    "effect",
+    ({}, pytest.param({"loss": 0.05}, marks=pytest.mark.slow), {"loss": 0.2}, {"late": 0.05}),
+    ids=str,
+)
 def test_what_else_bends_or_moves_the_light_is_no_offset(effect):
     for seed in range(4):
         (transfer,) = photon_transfer(series(seed=seed, **effect))

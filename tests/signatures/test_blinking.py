@@ -64,10 +64,10 @@ def gamma(mean, shape):
 
 
 CASES = [
-    (0.006, gamma(7.0, 4), 0.0),
+    pytest.param(0.006, gamma(7.0, 4), 0.0, marks=pytest.mark.slow),
     (0.006, gamma(15.0, 4), 0.4),
     (0.002, gamma(30.0, 1), 0.0),
-    (0.03, gamma(9.0, 7), 0.0),
+    pytest.param(0.03, gamma(9.0, 7), 0.0, marks=pytest.mark.slow),
 ]
 
 

@@ -88,6 +88,7 @@ def test_fixed_offsets_are_no_charge():
     assert np.std(charge) < 0.02
 
 
+@pytest.mark.slow
 def test_pixels_that_jump_are_told_beside_hot_ones_and_an_uneven_dark_current():
     heat = uneven(6)
     hot = _RNG(7).random(SIZE) < 0.004

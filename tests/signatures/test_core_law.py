@@ -51,8 +51,8 @@ def test_standard_levels_have_mean_0_and_deviation_1(core):
 
 
 @pytest.mark.parametrize("law", ["normal", "gamma", "log-normal"])
-@pytest.mark.parametrize("variation", [0.25, 0.4])
-@pytest.mark.parametrize("hot", [0.0, 0.005, 0.02])
+@pytest.mark.parametrize("variation", [pytest.param(0.25, marks=pytest.mark.slow), 0.4])
+@pytest.mark.parametrize("hot", [0.0, 0.005, pytest.param(0.02, marks=pytest.mark.slow)])
 def test_the_tail_of_a_skewed_dark_current_is_no_hot_pixels(law, variation, hot):
     """Of normal levels as before; of skewed ones the normal law has 0.02 to 0.06 of the pixels hot where
     none is, and 0.006 to 0.026 for 0.005."""
@@ -90,7 +90,12 @@ def test_a_skewness_that_the_lower_half_tells_too_little_of_makes_no_hot_pixels(
 
 
 @pytest.mark.parametrize(
-    ("law", "variation", "offsets"), [("gamma", 0.7, 0.3), ("log-normal", 0.5, 0.3), ("log-normal", 0.6, 0.8)]
+    ("law", "variation", "offsets"),
+    [
+        ("gamma", 0.7, 0.3),
+        pytest.param("log-normal", 0.5, 0.3, marks=pytest.mark.slow),
+        ("log-normal", 0.6, 0.8),
+    ],
 )
 def test_offsets_beside_long_tailed_currents_make_no_pixel_hot(law, variation, offsets):
     """Offsets make the lower half of the levels more normal than currents are: by that half alone tens to
@@ -99,7 +104,7 @@ def test_offsets_beside_long_tailed_currents_make_no_pixel_hot(law, variation, o
     told = likely_laws(u := drawn(law, variation, 0.0, 3, noise=noise), spread_of(u), True)
     assert hot_log_p(min(f.mixture for f in told), u.size) > -20
     shares = []
-    for seed in range(4):
+    for seed in range(2):
         u, rng = drawn(law, variation, 0.0, seed, noise=noise), np.random.default_rng([1, seed])
         hot = rng.random(u.size) < 0.0015
         u += hot * rng.exponential(6000.0 * variation, u.size) / noise

@@ -65,7 +65,9 @@ def herringbone(key, x, values, maps, context):
     return x + values["sigma_dn"] * jnp.sqrt(2.0) * jnp.sin(at + phase)
 
 
-@pytest.mark.parametrize("amplitude", [0.1, 0.3, 1.0])
+@pytest.mark.parametrize(
+    "amplitude", [pytest.param(0.1, marks=pytest.mark.slow), 0.3, pytest.param(1.0, marks=pytest.mark.slow)]
+)
 def test_a_mechanism_of_ones_own_explains_its_effect_better_than_no_name_does(amplitude):
     own = entry("herringbone", "Diagonal interference.", herringbone, over="pixel")
     (signature,) = generic.by_sampling(own.record, name="own", known={}, simulated=True)(RECORDED)
@@ -86,7 +88,9 @@ def ramp(key, x, values, maps, context):
     return x + values["sigma_dn"] * jax.random.normal(key, (x.shape[0], 1, 1)) * along
 
 
-@pytest.mark.parametrize("amplitude", [0.1, 0.5, 1.0])
+@pytest.mark.parametrize(
+    "amplitude", [pytest.param(0.1, marks=pytest.mark.slow), 0.5, pytest.param(1.0, marks=pytest.mark.slow)]
+)
 def test_a_ramp_of_ones_own_is_no_noise_of_rows(amplitude):
     own = entry("ramp", "The level falls along the rows.", ramp)
     (signature,) = generic.by_sampling(own.record, name="own", known={}, simulated=True)(RECORDED)

@@ -41,7 +41,13 @@ def score(*args, **more):
 
 
 @pytest.mark.parametrize(
-    "rate, clamp, hidden", [(1.0, 1.0, 1.0), (0.3, 1.0, 0.3), (4.0, 0.5, 2.0), (1.0, 1.3, 1.0)]
+    "rate, clamp, hidden",
+    [
+        pytest.param(1.0, 1.0, 1.0, marks=pytest.mark.slow),
+        pytest.param(0.3, 1.0, 0.3, marks=pytest.mark.slow),
+        (4.0, 0.5, 2.0),
+        (1.0, 1.3, 1.0),
+    ],
 )
 def test_the_hidden_rate_comes_back(rate, clamp, hidden):
     found = [score(seed, rate, clamp) for seed in range(4)]

@@ -69,7 +69,9 @@ def test_what_grows_with_the_exposure_is_told_from_what_does_not(growing):
     assert score is not None and score.payload.stands_out == growing
 
 
-@pytest.mark.parametrize("form", [RING, pytest.param(SPOTS, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "form", [pytest.param(RING, marks=pytest.mark.slow), pytest.param(SPOTS, marks=pytest.mark.slow)]
+)
 def test_a_glow_of_any_form_takes_no_name_with_it(form):
     found = diagnose(capture_set(9, glowing(150 * form, dark=60.0), kinds="df"), compare=False)
     sizes = {s.named.mechanism: s.named.score.amplitude for s in found.fitted.steps}

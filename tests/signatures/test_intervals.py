@@ -8,7 +8,16 @@ from cannoise_jax.signatures.line_sums import component_score
 REPLICATES = 2000
 
 
-@pytest.mark.parametrize("draws, signal", [(2, 30.0), (5, 30.0), (5, 1.5), (24, 30.0), (400, 0.4)])
+@pytest.mark.parametrize(
+    "draws, signal",
+    [
+        (2, 30.0),
+        pytest.param(5, 30.0, marks=pytest.mark.slow),
+        (5, 1.5),
+        pytest.param(24, 30.0, marks=pytest.mark.slow),
+        (400, 0.4),
+    ],
+)
 def test_nine_in_ten_intervals_of_a_scatter_hold_it(draws, signal):
     """signal: variance of the offsets in units of the noise of one."""
     rng = np.random.default_rng(draws)

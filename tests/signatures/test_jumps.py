@@ -60,8 +60,8 @@ def test_the_answer_does_not_depend_on_how_noisy_the_pixels_are():
     often the farther these are apart."""
     rng, shares, found = _RNG(0), [], []
     for scale in (1.8, 2.5, 4.0):
-        normal = [scale * rng.standard_normal((n, 2000)) for n in (8, 16)]
+        normal = [scale * rng.standard_normal((n, 800)) for n in (8, 16)]
         shares.append(np.mean(jumps_over_noise([x - x.mean(0) for x in normal]) > 0))
-        levels = [rng.standard_normal((n, 2000)) + 2 * scale * (rng.random((n, 2000)) < 0.5) for n in (8, 16)]
+        levels = [rng.standard_normal((n, 800)) + 2 * scale * (rng.random((n, 800)) < 0.5) for n in (8, 16)]
         found.append(np.mean(jumps_over_noise([x - x.mean(0) for x in levels]) > 0))
     assert max(shares) < 0.15 and found == sorted(found) and found[-1] > 0.95

@@ -43,7 +43,13 @@ def darks(rng, pattern):
     return fields(rng, lambda r: np.broadcast_to(pattern, (FRAMES, *SIZE)))
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize(
+    "form",
+    [
+        pytest.param(f, marks=() if f in ("nothing", "rows by turns", "hot", "texture") else pytest.mark.slow)
+        for f in FORMS
+    ],
+)
 def test_what_does_not_repeat_along_both_sides_is_left_to_others(form):
     rng = np.random.default_rng(2)
     p = [np.exp(repeat_score(darks(rng, FORMS[form](rng))).log_p) for _ in range(30)]

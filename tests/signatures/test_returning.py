@@ -35,7 +35,9 @@ def everywhere(fields):
     return np.all([f.usable for f in fields], 0)
 
 
-@pytest.mark.parametrize("share, height", [(0.001, 40.0), (0.01, 20.0), (0.05, 15.0)])
+@pytest.mark.parametrize(
+    "share, height", [(0.001, 40.0), pytest.param(0.01, 20.0, marks=pytest.mark.slow), (0.05, 15.0)]
+)
 def test_pixels_that_jump_return(share, height):
     fields = fields_of(1, jumping(share, height))
     assert returning_log_p(fields, everywhere(fields)) < -12

@@ -52,6 +52,7 @@ def test_a_leak_of_light_is_measured_and_the_same_on_other_frames():
     assert other.amplitude < 4 * other.error and other.gain < 8
 
 
+@pytest.mark.slow
 def test_in_darks_of_two_exposures_light_that_leaks_in_is_a_glow():
     rng = np.random.default_rng(4)
     recordings = []

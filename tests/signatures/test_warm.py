@@ -29,7 +29,7 @@ def captured(seed, mean=None, charge=None):
     return frames_of(seed, mean=mean, charge=charge, scenes=0, frames=FRAMES)
 
 
-@pytest.mark.parametrize("spread", [0.5, 0.1, 0.03])
+@pytest.mark.parametrize("spread", [0.5, pytest.param(0.1, marks=pytest.mark.slow), 0.03])
 def test_a_steady_rise_has_its_size_however_little_the_pixels_differ(spread):
     """The contrasts hold the whole change, and where the map hardly shows the mean moves with the noise."""
     capture = captured(31, ramp(spread))
@@ -49,6 +49,7 @@ def test_a_steady_rise_has_its_size_however_little_the_pixels_differ(spread):
             assert np.allclose(shared / np.trace(shared) * len(shared), np.eye(len(shared)), atol=0.01)
 
 
+@pytest.mark.slow
 def test_frames_of_one_temperature_are_not_warm_by_their_offsets():
     """Beside a map of the dark current, whose pixels have more noise: an offset is less of it in these."""
 

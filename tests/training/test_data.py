@@ -19,12 +19,16 @@ SPAN, BLACK = 4000.0, 95.0
 SIZE = (128, 384)
 
 
-@pytest.fixture
-def config():
+def configured():
     found = run_path(str(CONFIGS / "ci.py"))["get_config"]()
     found.data.source = "recordings"
     found.data.half_real_scenes = 3
     return found
+
+
+@pytest.fixture
+def config():
+    return configured()
 
 
 def write_camera(
@@ -49,12 +53,19 @@ def write_camera(
     return folder
 
 
-def test_folders_of_two_cameras_with_unknown_noise_levels(config, tmp_path):
+@pytest.fixture(scope="module")
+def of_two(tmp_path_factory):
+    """The data of two cameras in folders."""
+    folder, config = tmp_path_factory.mktemp("two"), configured()
     config.data.recordings = (
-        str(write_camera(tmp_path / "a", "RGGB", 2.0)),
-        str(write_camera(tmp_path / "b", "GBRG", 0.5)),
+        str(write_camera(folder / "a", "RGGB", 2.0)),
+        str(write_camera(folder / "b", "GBRG", 0.5)),
     )
-    data = load_data(config, tmp_path)
+    return load_data(config, folder)
+
+
+def test_folders_of_two_cameras_with_unknown_noise_levels(of_two):
+    data = of_two
     assert data.cameras == ("a", "b")
     for camera, gain in enumerate((2.0, 0.5)):
         own = np.asarray(data.train.camera) == camera
@@ -72,12 +83,8 @@ def test_folders_of_two_cameras_with_unknown_noise_levels(config, tmp_path):
         assert read == pytest.approx((8 / SPAN) ** 2, rel=0.15)
 
 
-def test_no_frame_is_in_two_splits(config, tmp_path):
-    config.data.recordings = (
-        str(write_camera(tmp_path / "a", "RGGB", 2.0)),
-        str(write_camera(tmp_path / "b", "GBRG", 0.5)),
-    )
-    data = load_data(config, tmp_path)
+def test_no_frame_is_in_two_splits(of_two):
+    data = of_two
     train = {data.train[i]["noisy"].tobytes() for i in range(len(data.train))}
     validation = {patch.tobytes() for patch in data.validation.noisy}
     test = {patch.tobytes() for patch in data.test.noisy}

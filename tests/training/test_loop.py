@@ -88,7 +88,11 @@ def newest_state(config, folder):
     return state
 
 
-def test_the_same_config_interrupted_and_resumed_gives_the_same_bits(config, data, finished, tmp_path):
+def test_the_same_config_interrupted_and_resumed_gives_the_same_bits(
+    config, data, finished, tmp_path, monkeypatch
+):
+    """And so it does without validation, which only looks."""
+    monkeypatch.setattr(loop, "_validate", lambda *_: 0.0)
     for programs in (state_module._first_programs, step_module._train_step):
         programs.cache_clear()  # traced anew, as in another process
 

@@ -109,10 +109,7 @@ SWITCHES = {
 
 @pytest.mark.parametrize(
     "name",
-    [
-        pytest.param(n, marks=() if n in ("no encoder", "literal", "latent") else pytest.mark.slow)
-        for n in SWITCHES
-    ],
+    [pytest.param(n, marks=() if n in ("no encoder", "latent") else pytest.mark.slow) for n in SWITCHES],
 )
 def test_switches(config, name):
     changes, absent = SWITCHES[name]

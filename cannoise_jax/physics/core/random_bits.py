@@ -8,6 +8,7 @@ rounds in registers and its number is used at once: several times faster, the sa
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -35,8 +36,10 @@ def threefry(keys: tuple[Array, Array], x0: Array, x1: Array) -> tuple[Array, Ar
     return x0, x1
 
 
+@partial(jax.jit, static_argnums=1, inline=True)
 def random_bits(key: Key[Array, ""], shape: tuple[int, ...]) -> UInt32[Array, "..."]:
-    """Independent 32-bit words, a function of the key and of the flat index alone (at most 2^32 of them)."""
+    """Independent 32-bit words, a function of the key and of the flat index alone (at most 2^32 of them). In
+    a program it is part of it; outside of any its hundred steps are one."""
     data = jax.random.key_data(key).astype(jnp.uint32)
     if data.shape[-1] == 4:  # keys of the other generators have four words
         data = data[..., :2] ^ data[..., 2:]
