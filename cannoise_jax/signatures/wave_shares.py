@@ -88,7 +88,8 @@ def around(power: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
     stands out of what is about it, noise that is stronger at low frequencies does not."""
 
     def sums(values: np.ndarray, side: int) -> np.ndarray:
-        return side**2 * ndimage.uniform_filter(values, side, mode=("wrap", "nearest"))
+        # Beyond frequency 0 across lies the mirror image of the other side, not that frequency once more.
+        return side**2 * ndimage.uniform_filter(values, side, mode=("wrap", "mirror"))
 
     seen = (power > 0).astype(float)
     number = sums(seen, _WINDOW) - sums(seen, _OWN)

@@ -129,6 +129,16 @@ def test_what_no_list_names_is_seen():
         assert any(d.what.startswith(name) and d.sign == 1 for d in found.differences), name
 
 
+def test_neighbours_that_are_alike_leave_no_memory_of_the_frame_before():
+    """Frames about their mean are unlike each other wherever pixels of one frame are alike."""
+
+    def cells(rng):
+        return lambda dn, *_: dn + 3 * np.kron(rng.standard_normal((48, 64)), np.ones((2, 2)))
+
+    found = compare(capture_set(63, cells, kinds="d"), camera(), KEY)
+    assert found.differences and not [d for d in found.differences if "memory" in d.what]
+
+
 def test_hot_pixels_leave_no_blocks_and_no_rows():
     def hot(rng):
         map_dn = (rng.random((96, 128)) < 0.01) * rng.exponential(400, (96, 128))

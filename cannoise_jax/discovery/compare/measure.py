@@ -42,6 +42,9 @@ from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.signatures import bank
 from cannoise_jax.signatures.fields import helmert
 
+_OWN_FRAMES = 8
+"""Frames whose products with themselves are taken: they are told far better than those with others."""
+
 
 def of_sets(sets: list[Measured], family: str) -> list[Statistics]:
     """A family's statistics of those simulated sets that have them: one that is clipped all over has not."""
@@ -232,24 +235,30 @@ def _tails(z: np.ndarray) -> np.ndarray:
 
 
 def _next(seen: View, share: float) -> Statistics:
-    """Mean products of a frame with the next one at small lags, whole frames' means out."""
+    """Mean products of a frame with the next one at small lags, whole frames' means out.
+
+    Frames about their mean are alike by the less the more of them there are: in products of N of them with
+    others lies -1/(N - 1) of their products with themselves, which is put back. Neighbours that are alike in
+    a frame would be unlike those of the next one by it."""
     n = len(seen.z)
     matrix = helmert(n + 1).astype(np.float32)
     kept = seen.kept
-    total = np.zeros(len(NEXT_LAGS))
-    before = None
+    total, own = np.zeros((2, len(NEXT_LAGS)))
+    before, asked = None, min(n + 1, _OWN_FRAMES)
     h, w = kept.shape
     for t in range(n + 1):
         frame = np.tensordot(matrix[:, t], seen.z, 1)
         frame = bank.without_lines(frame) * kept
-        if before is not None:
-            for k, (dy, dx) in enumerate(NEXT_LAGS):
-                a = before[: h - dy, max(-dx, 0) : w - max(dx, 0)]
-                b = frame[dy:, max(dx, 0) : w - max(-dx, 0)]
-                total[k] += float(np.einsum("ij,ij->", a, b)) / (a.size * share)
+        for k, (dy, dx) in enumerate(NEXT_LAGS):
+            b = frame[dy:, max(dx, 0) : w - max(-dx, 0)]
+            for sums, other in ((total, before), (own, frame if t < asked else None)):
+                if other is not None:
+                    a = other[: h - dy, max(-dx, 0) : w - max(dx, 0)]
+                    sums[k] += float(np.einsum("ij,ij->", a, b)) / (a.size * share)
         before = frame
     variance = np.array([1 / ((h - dy) * (w - abs(dx)) * share * n) for dy, dx in NEXT_LAGS])
-    total /= n * max(float(np.mean(seen.z**2)) / share, 1e-9)
+    total = total / n + own / asked / n
+    total /= max(float(np.mean(seen.z**2)) / share, 1e-9)
     return Statistics("mean", total[None], variance)
 
 

@@ -24,6 +24,7 @@ from cannoise_jax.discovery.compare.families import SPARSITY, TEMPORAL, of
 from cannoise_jax.discovery.compare.run import compare_bank
 from cannoise_jax.discovery.compare.sources import Source, modelled, shaded
 from cannoise_jax.discovery.compare.table import differences, lines_of
+from cannoise_jax.discovery.proof.along_lines import pixels_alike
 from cannoise_jax.discovery.proof.check import frames_for_names
 from cannoise_jax.discovery.proof.claims import (
     by_level,
@@ -193,6 +194,7 @@ def doubts(
             or shared_map(steps[n])
             or shared_lines(steps[n])
             or in_parts(steps[n])
+            or pixels_alike(steps[n])
             or in_places(steps[n])
             or in_few_lines(steps[n], capture, frames)
             or not_gaussian(steps, n)

@@ -141,5 +141,7 @@ def jackknife_interval(
         # Of a few frames that lie far apart, or a pattern that most of the frame has little of, the scatter
         # of what each gains says nothing, but that any one can be left out does; and a likelihood ratio
         # exceeds 20 with a chance of 1/20 where there is nothing. A statistic of areas is no such ratio.
-        low = max(low, float(gains.min()) - (_SURE_NATS if banded else float(np.log(20))))
+        least = float(gains.min()) - (_SURE_NATS if banded else float(np.log(20)))
+        # Parts that all gain more than the whole, as much as they know, bound nothing.
+        low = max(low, least) if least <= gain else low
     return low, gain + half

@@ -231,7 +231,15 @@ def _nearest_beside(
     beside it, and why it is not the one."""
     told = {n for o in others if o is not step for n in (o.named.signature.name, *o.named.signature.covers)}
     own = step.named.signature.name
-    asked = [p for p in signatures if p.mechanism in ids and p.name not in told and p.name != own]
+    # What stays explains nothing that is new in every frame, whatever it has in the same fields.
+    asked = [
+        p
+        for p in signatures
+        if p.mechanism in ids
+        and p.name not in told
+        and p.name != own
+        and p.frozen == step.named.signature.frozen
+    ]
     if step.rivals:  # to ask all of them anew took a tenth of a diagnosis
         seen = [p for p in asked if p.name in step.rivals]
         asked = sorted(seen, key=lambda p: -step.rivals[p.name])[:_RIVALS]
