@@ -14,7 +14,7 @@ from tests.discovery.looks import white
 
 def score_of(gain, shift):
     told = {"log_p": -9.0, "penalty": 0.0, "amplitude": 1.0, "error": np.inf, "power": 1}
-    return Score(**told, gain=gain, shift=shift, parameters={}, where={})
+    return Score(**told, gain=gain, shift=shift, parameters={}, where={"axis": "pixel"})
 
 
 def signature_of(gains):
