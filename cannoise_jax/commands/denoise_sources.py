@@ -84,7 +84,8 @@ def sensors_of(labels: dict[str, str], capture, workdir: Path) -> dict[str, Any]
                     tell=lambda text: print(f"  {text}", flush=True),
                 ).model  # fmt: skip
             model.save(path)
-        out[name] = SensorModel.load(path)
+        # Under another light than that of the recordings.
+        out[name] = SensorModel.load(path).under_steady_light()
     return out
 
 

@@ -104,6 +104,11 @@ def _parser() -> argparse.ArgumentParser:
         help="of the noise (default 0), which differs between names",
     )
     add("--unit", type=seed, help="another unit of the camera, by number: other frozen patterns")
+    add(
+        "--steady-light",
+        action="store_true",
+        help="without what the light of the recordings did: flicker, drift",
+    )
     add("--catalogue", action="store_true", help="write the page that explains every mechanism")
     return parser
 
@@ -137,6 +142,8 @@ def _recordings(arguments: argparse.Namespace) -> Iterator[tuple[Path, Recording
 
     now_at("reading the camera model and the scenes")
     model = _sensor(arguments.sensor, arguments.mechanisms)
+    if arguments.steady_light:
+        model = model.under_steady_light()
     if arguments.unit is not None:
         model = model.with_unit(jax.random.key(arguments.unit))
     iso, decibels = _asked(arguments, float(np.asarray(model.iso)[0]))

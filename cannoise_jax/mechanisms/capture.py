@@ -23,6 +23,7 @@ ILLUMINATION_DRIFT = mechanism_from_grammar(
     reference="EMVA 1288 release 4.0, section 6.2 (stability of the irradiation)",
     needs=("burst",),
     confused_with=("offset_drift", "temperature_drift", "flicker"),
+    of_light=True,
 )
 
 
@@ -73,6 +74,7 @@ REFERENCE_ERROR = Mechanism(
     amplitude=_reference_amplitude,
     sample=_reference,
     effect=_reference_effect,
+    of_light=True,
 )
 
 
@@ -106,6 +108,7 @@ MISREGISTRATION = Mechanism(
     amplitude=lambda values, context: values["shift_px"],
     sample=_misregister,
     effect=_misregister_effect,
+    of_light=True,
 )
 
 
@@ -131,6 +134,7 @@ SCENE_MOTION = Mechanism(
     confused_with=("misregistration", "reference_error", "image_lag"),
     amplitude=lambda values, context: values["shift_px"],
     sample=_move_scene,
+    of_light=True,
 )
 
 

@@ -70,6 +70,7 @@ FLICKER = dataclasses.replace(
         reference="Sheinin et al., Computational Imaging on the Electric Grid, CVPR 2017",
         needs=("pair", "burst"),
         confused_with=("row_noise", "row_pink_noise", "banding", "illumination_drift"),
+        of_light=True,
     ),
     sample=_sample,
     effect=_effect,

@@ -209,7 +209,7 @@ def open_source(
         return sensor(data, sensors[name])
     path = Path(name)
     if path.suffix == ".json" and path.is_file():
-        return sensor(data, SensorModel.load(path, mechanisms))
+        return sensor(data, SensorModel.load(path, mechanisms).under_steady_light())
     if path.exists():
         return learned(data, path)
     known = ", ".join([*NAMED, *FITTED, *REFINED])

@@ -47,6 +47,19 @@ def test_a_flat_is_a_recording_with_its_truth(sensor, tmp_path, capsys):
     assert frames.var() == pytest.approx(variance, rel=0.1)
 
 
+def test_the_light_of_the_recordings_may_stay_away(sensor, tmp_path):
+    """A lamp that flickered over the flats of a camera is none of the camera."""
+    lit = tmp_path / "lit.json"
+    write_sensor(lit, SensorModel.load(sensor).with_mechanism("flicker", amplitude=0.5, frequency=0.1))
+    frames = []
+    for number, flags in enumerate(([str(lit)], [str(lit), "--steady-light"], [sensor])):
+        out = tmp_path / str(number)
+        flat = ["--clean", "flat:0.5", "--size", "32x32", "--out", str(out)]
+        assert main(["--sensor", *flags, *flat]) == 0
+        frames.append(np.asarray(read_recording(out / "flat_0.5_iso100_0.01s.h5").frames[:]))
+    assert np.array_equal(frames[1], frames[2]) and not np.array_equal(frames[0], frames[2])
+
+
 def test_a_setting_whose_noise_no_camera_has_is_refused_by_its_flag(sensor, tmp_path, capsys):
     """And not by a field of the file that would be written."""
     out = tmp_path / "out"

@@ -94,6 +94,17 @@ def test_with_and_without():
         MODEL.with_mechanism("gremlins")
 
 
+def test_under_a_steady_light_the_camera_is_left_alone():
+    camera = SensorModel.poisson_gaussian(0.5, 3.0, 64.0, 4095.0, "MONO").with_mechanism("prnu", sigma=0.02)
+    seen = camera.with_mechanism("flicker", amplitude=0.2, frequency=0.05)
+    seen = seen.with_mechanism("illumination_drift", sigma=0.05)
+    flat = np.full((64, 64), 0.5, np.float32)
+    settings = Settings(frames=4)
+    frames = np.asarray(seen.under_steady_light().sample(jax.random.key(1), flat, settings))
+    np.testing.assert_array_equal(frames, camera.sample(jax.random.key(1), flat, settings))
+    assert not np.array_equal(frames, seen.sample(jax.random.key(1), flat, settings))
+
+
 @pytest.mark.parametrize("step", [1.0, 4.0, 16.0])
 def test_codes_lie_on_the_lattice_within_the_rails(step):
     model = dataclasses.replace(MODEL, code_step=np.float32(step))

@@ -207,6 +207,7 @@ def mechanism_from_grammar(
     parameters: tuple[Parameter, ...] | None = None,
     amplitude=None,
     strength: str | None = None,
+    of_light: bool = False,
 ) -> Mechanism:
     """The mechanism at a point of the grammar. What is not given follows from the point. Raises ValueError
     for axes that do not go together, see `contradiction`.
@@ -238,6 +239,7 @@ def mechanism_from_grammar(
         sample=_sample(point, name),
         draw_maps=_draw_maps(point),
         effect=effect_of(point, name),
+        of_light=of_light,
         scaling=scaling,
         scales=name,
     )

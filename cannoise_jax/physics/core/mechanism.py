@@ -188,6 +188,7 @@ class Mechanism:
       last of x, and dropped.
     needs: data kinds that identify it, of "pair", "pair_independent", "burst", "dark", "flat", "iso",
       "exposure", "temperature". confused_with: ids. equation: LaTeX without dollar signs.
+    of_light: of the light or the scenes that recordings were taken of, not of the camera.
     home: "module:NAME" of the entries that hold it, where it is none of the package's; stored models say it.
 
     Raises ValueError where the scaling law has no parameter to multiply: it would do nothing.
@@ -207,6 +208,7 @@ class Mechanism:
     draw_maps: Callable[[Key[Array, ""], Values, Context], dict[str, Array]] | None = None
     effect: Callable[[Values, Maps, Context], Effect] | None = None
     looks_back: bool = False
+    of_light: bool = False
     scaling: Scaling = field(default_factory=Scaling)
     scales: str | None = None
     home: str = ""

@@ -194,6 +194,13 @@ class SensorModel:
         """The model with every mechanism of this id taken out."""
         return dataclasses.replace(self, mechanisms=tuple(f for f in self.mechanisms if f.mechanism != id))
 
+    def under_steady_light(self) -> SensorModel:
+        """The camera alone, without what the light and the scenes of its recordings did: lamps that flicker
+        or drift, references that are off. So other scenes are simulated."""
+        return dataclasses.replace(
+            self, mechanisms=tuple(f for f in self.mechanisms if not f.record.of_light)
+        )
+
     def with_unit(self, key: Key[Array, ""]) -> SensorModel:
         """Another unit of the same camera: frozen patterns are drawn anew, measured maps are dropped."""
         bare = tuple(dataclasses.replace(f, maps={}) for f in self.mechanisms)
