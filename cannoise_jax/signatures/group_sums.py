@@ -186,15 +186,17 @@ def shared_sums(
         root = np.sqrt(information, out=information)
         return score / np.maximum(root, 1e-15), root
 
+    # What is no part of a map of pixels was left as it is, far above all else, and would move the mean. Lines
+    # are what they were when others of them were taken out, in which other pixels stood out.
     lines = shown[0][0].answers.lines.get(axis)
-    if lines is None:
-        values, root = together(1.0)
-        kept = ~outlying(values, root, groups)
-    else:  # as it was when others of these lines were taken out
-        kept, noise = lines
+    apart = [mask for f, _ in shown for mask in f.answers.apart.values()]
+    before = ~np.any(apart, axis=0) if apart else np.ones(groups.of.shape, bool)
+    before = before if lines is None else before & lines[0]
+    values, root = together(before)
+    kept = before & ~outlying(values, root, groups)
     values, root = together(kept)
     pixels = group_pixels(values[None], root, groups)
-    noise = _own_noise(pixels) if lines is None else noise
+    noise = _own_noise(pixels) if lines is None else lines[1]
     return SharedSums(groups.sums(values * root) / noise, pixels.information / noise, kept, noise)
 
 

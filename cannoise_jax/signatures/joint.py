@@ -39,6 +39,8 @@ _MEDIAN_OF_ONE = float(stats.chi2.median(1))
 """Median of the square of a standard normal value."""
 _STEPS = 50
 """Steps of Fisher scoring at most."""
+_APART = 1e6
+"""Variance of numbers that are no part of a map, over that of the others."""
 _FAR_LINES = 100.0
 """Square of a line, in variances of most, from which on it is no part of the variance of a map. Of columns of
 Laplace's law those beyond 30, as of pixels, are a twelfth of the variance, beyond 100 a five-hundredth."""
@@ -84,7 +86,7 @@ def strengths(fields: tuple[Fields, ...], maps: Sequence[FrozenMap]) -> list[Str
         fitted = _fit(fields, maps, place)
         out.update(fitted)
         sigma = [fitted[n].sigma if n in fitted else np.sqrt(maps[n].variance) for n in place.which]
-        return _posterior(place, np.square(sigma))[0]
+        return _posterior(place, _of_each(place, np.square(sigma)))[0]
 
     _place_by_place(fields, maps, settled)
     return [out.get(n) for n in range(len(maps))]
@@ -98,7 +100,7 @@ def predicted(
     out: dict[int, Predicted] = {}
 
     def settled(place: _Place, shape: tuple[int, ...]) -> np.ndarray:
-        mean, covariance = _posterior(place, _variances(place, sigma))
+        mean, covariance = _posterior(place, _of_each(place, _variances(place, sigma)))
         for k, n in enumerate(place.which):
             doubt = covariance[:, k, k].reshape(shape)
             out[n] = Predicted(maps[n].scaling, mean[:, k].reshape(shape), doubt)
@@ -141,6 +143,11 @@ def _place_by_place(
         if place is not None:
             values = settled(place, _SHAPES.get(axis, fields[0].mean.shape))
             moved += _taken_from(maps, place, values, axis)
+
+
+def _of_each(place: _Place, variance: Float[np.ndarray, "k"]) -> Float[np.ndarray, "n k"]:
+    """The variances of every number: of one that is no part of its map it says nothing, the recordings do."""
+    return np.where(place.apart, _APART * variance, variance)
 
 
 def _variances(place: _Place, sigma: Sequence[float]) -> np.ndarray:
@@ -194,9 +201,7 @@ def _place(
         apart = np.zeros(score.shape, bool)
     left = np.stack([np.stack(row, -1) for row in products], -2)
     v = np.array([maps[n].variance for n in which])
-    both = apart[:, :, None] | apart[:, None, :]
     same = np.eye(len(which), dtype=bool)
-    left = np.where(both & ~same, 0.0, left)
     whitened = np.where(apart, 0.0, v)
     # 1 - M' G, of the symmetric form of it, whose eigenvalues lie between 0 and 1.
     root = np.sqrt(whitened)
@@ -254,13 +259,13 @@ def _along(
 
 
 def _posterior(
-    place: _Place, variance: Float[np.ndarray, "k"]
+    place: _Place, variance: Float[np.ndarray, "*n k"]
 ) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, "n k k"]]:
     """Expectation and covariance of the numbers of every place."""
     root = np.sqrt(variance)
-    k = np.eye(len(variance))
-    known = np.linalg.inv(k + root[:, None] * place.information * root)
-    covariance = root[:, None] * known * root
+    k = np.eye(variance.shape[-1])
+    known = np.linalg.inv(k + root[..., :, None] * place.information * root[..., None, :])
+    covariance = root[..., :, None] * known * root[..., None, :]
     return np.einsum("nij,nj->ni", covariance, place.score), covariance
 
 
@@ -314,7 +319,7 @@ def _draw(
 ) -> Float[np.ndarray, "n k"]:
     """A draw of the numbers of a place, one map after the other, each given those before it. frame: of
     pixels, whose neighbours may be alike."""
-    mean, covariance = _posterior(place, variance)
+    mean, covariance = _posterior(place, _of_each(place, variance))
     out = np.zeros(mean.shape)
     for k in range(len(variance)):
         expected, doubt = mean[:, k], covariance[:, k, k]

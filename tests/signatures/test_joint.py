@@ -165,6 +165,32 @@ def test_they_are_as_strong_as_they_were_planted(order, row_noise):
     assert abs(np.mean(far)) < 0.5
 
 
+@pytest.mark.parametrize("order", ORDERS, ids=["one", "other"])
+def test_pixels_far_out_of_one_map_change_no_other(order):
+    """A few pixels collect forty times as much as most: that is no offset of theirs, nor of their lines."""
+    fields, maps = planted(5, (48, 64))
+    rng = np.random.default_rng(6)
+    few = rng.random((48, 64)) < 0.03
+    more = np.where(few, rng.uniform(1.5, 4.5, few.shape), 0.0)
+    maps["pixel_thermal_static"] = maps["pixel_thermal_static"] + more
+    hot = tuple(
+        f._replace(static=(f.static + more * f.exposure_s / f.sigma * np.sqrt(f.frames)).astype(np.float32))
+        if f.kind == "dark"
+        else f
+        for f in fields
+    )
+    left, names, taken = taken_out(hot, order, known=False)
+    told = joint.strengths(left, taken)
+    for name, one in zip(names, told, strict=True):
+        assert abs(one.sigma - TRUE[name]) < 4 * one.error, name
+    drawn = joint.drawn(left, taken, [one.sigma for one in told], rng)
+    for name, values in zip(names, drawn, strict=True):
+        if name.startswith("pixel"):
+            off = values - maps[name]
+            assert np.std(off[few]) < 1.5 * np.std(off[~few]), name
+            assert abs(np.mean(off[few])) < 0.5 * np.std(off[~few]), name
+
+
 def test_what_two_maps_could_be_is_drawn_once():
     """Drawn together they have the rms of what was recorded, in columns and rows as well."""
     fields, maps = planted(3, (48, 64))
