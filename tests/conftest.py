@@ -9,7 +9,6 @@ import gc
 import json
 import os
 import shutil
-import sys
 import tempfile
 from functools import wraps
 from importlib.metadata import version
@@ -167,14 +166,16 @@ def no_signs_of_life(request, monkeypatch):
 
 
 @pytest.fixture(scope="session", autouse=True)
-def a_lighter_search():
+def a_lighter_search(request):
     """Two threads of each of two processes take turns on two cores: a quarter more work, no sooner done. The
-    composite score learns from a quarter of its draws: no test asks it for the last thousandth of a nat."""
-    if "cannoise_jax.discovery" in sys.modules:  # else nothing searches
-        from cannoise_jax.discovery.frames import threads
-        from cannoise_jax.discovery.proof import quality
+    composite score learns from a quarter of its draws, but in long proofs and for published tables: no other
+    test asks it for the last thousandth of a nat."""
+    from cannoise_jax.discovery.frames import threads
+    from cannoise_jax.discovery.proof import quality
 
-        threads.WORKERS, quality._LEARNED = 1, 100_000
+    threads.WORKERS = 1
+    if not request.config.getoption("--slow") and not request.config.getoption("--results"):
+        quality._LEARNED = 100_000
 
 
 @pytest.fixture(scope="module", autouse=True)

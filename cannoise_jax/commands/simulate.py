@@ -107,7 +107,7 @@ def _parser() -> argparse.ArgumentParser:
     add(
         "--steady-light",
         action="store_true",
-        help="without what the light of the recordings did: flicker, drift",
+        help="without the light and references of the recordings",
     )
     add("--catalogue", action="store_true", help="write the page that explains every mechanism")
     return parser

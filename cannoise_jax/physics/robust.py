@@ -19,7 +19,7 @@ _PIXELS = 1 << 14
 def median(values: Any, axis: int | None = None, *, keepdims: bool = False) -> Any:
     """Median along an axis (None: of all values), bit for bit that of `numpy.median`, which takes five to
     nine times as long: NumPy has vector instructions to order values about one place, and its median asks
-    for several. Of what is no number, or of none, it is NumPy's own."""
+    for several. Of what is no number, or of none, it is NumPy's own. axis: one, not several."""
     values = np.asarray(values)
     if not values.size or values.dtype.kind not in "fiu":
         return np.median(values, axis, keepdims=keepdims)

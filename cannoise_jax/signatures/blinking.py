@@ -130,8 +130,8 @@ def _among_themselves(fields: Many) -> Many:
 def blinking_map(fields: Many) -> Float[np.ndarray, "h w"]:
     """The temporal standard deviation by their jumps of the pixels that more likely jump than not, DN; 0 in
     all others. Read-only: every model with a finding has the same."""
-    read = [v for f in fields for v in (f.contrasts, f.static, f.mean, f.sigma, f.usable)]
-    which = tuple((f.number, f.frames, f.before, f.exposure_s, f.unit) for f in fields)
+    read = [v for f in fields for v in (f.contrasts, f.static, f.mean, f.signal, f.sigma, f.usable, f.gain)]
+    which = tuple((f.number, f.kind, f.group, f.frames, f.before, f.exposure_s, f.unit) for f in fields)
     return _MAPS.of(read, which, lambda: _blinking_map(fields))
 
 
@@ -139,6 +139,7 @@ def _blinking_map(fields: Many) -> Float[np.ndarray, "h w"]:
     out = np.zeros(fields[0].mean.shape)
     looked = _looked(fields)
     if looked is None or not looked.at.size:
+        out.setflags(write=False)
         return out
     _, _, _, laws = _fitted(fields, looked)
     most = max(_MOST // _frames(fields), 1)

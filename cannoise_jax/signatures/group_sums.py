@@ -186,8 +186,8 @@ def shared_sums(
         root = np.sqrt(information, out=information)
         return score / np.maximum(root, 1e-15), root
 
-    # What is no part of a map of pixels was left as it is, far above all else, and would move the mean. Lines
-    # are what they were when others of them were taken out, in which other pixels stood out.
+    # What is no part of a map of pixels was left as it is, far above all else, and would move the mean. The
+    # noise is that which others of these lines were taken out by, in which other pixels may have stood out.
     lines = shown[0][0].answers.lines.get(axis)
     apart = [mask for f, _ in shown for mask in f.answers.apart.values()]
     before = ~np.any(apart, axis=0) if apart else np.ones(groups.of.shape, bool)

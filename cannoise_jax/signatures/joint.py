@@ -102,7 +102,7 @@ def predicted(
     def settled(place: _Place, shape: tuple[int, ...]) -> np.ndarray:
         mean, covariance = _posterior(place, _of_each(place, _variances(place, sigma)))
         for k, n in enumerate(place.which):
-            doubt = covariance[:, k, k].reshape(shape)
+            doubt = np.minimum(covariance[:, k, k], max(sigma[n], 1e-12) ** 2).reshape(shape)
             out[n] = Predicted(maps[n].scaling, mean[:, k].reshape(shape), doubt)
         return mean
 
@@ -195,8 +195,14 @@ def _place(
         groups = lines(axis, shape)
         score = np.stack([sums[n].score for n in which], 1)
         products = [
-            [groups.sums(_along(fields, a, b, axis) * first.kept) / first.noise for b in scalings]
-            for a in scalings
+            [
+                groups.sums(
+                    _along(fields, maps[a].scaling, maps[b].scaling, axis) * (sums[a].kept & sums[b].kept)
+                )
+                / first.noise
+                for b in which
+            ]
+            for a in which
         ]
         apart = np.zeros(score.shape, bool)
     left = np.stack([np.stack(row, -1) for row in products], -2)

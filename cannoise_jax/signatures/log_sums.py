@@ -8,7 +8,9 @@ import numpy as np
 
 def log_sum(logs: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
     """Log of the sum of exp(logs) over the first axis, in which each counts by its weight: 0 or above."""
-    most = np.max(logs, 0)
+    if weights is not None:  # what does not count may be the largest
+        logs, weights = logs[weights > 0], weights[weights > 0]
+    most = np.max(logs, 0, initial=-np.inf)
     most = np.where(np.isfinite(most), most, 0.0)
     terms = np.exp(logs - most)
     with np.errstate(divide="ignore"):  # of nothing it is minus infinity

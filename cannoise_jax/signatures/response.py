@@ -12,7 +12,7 @@ one lamp the mean over the exposure t,
     log(y / t) = const + log(1 - a (x / S)^p),
 
 falls with the signal in the first case only. p is chosen by it only among those between which the variance
-does not choose, where it does not fall as a parabola; each then has its share of the chance. How far single
+does not choose, where it does not fall as a parabola; these share as much chance again. How far single
 flats lie off that line says how steady lamp and shutter are, and with it how well the slope is known:
 Student's t.
 """
@@ -98,7 +98,8 @@ def allowed_by_variance(curves: Curves, span: float) -> list[OfVariance]:
     freedom = max(sum(len(y) for y, _, _ in curves) - len(curves) - 2, 1)
     scale = max(least / freedom, 1.0)
     if freedom < 2 or told[1.0][1] - least < _MISSED * scale:
-        return [found for found, chi2 in told.values() if chi2 - least < _MISSED * scale]
+        others = (found for found, chi2 in list(told.values())[1:] if chi2 - least < _MISSED * scale)
+        return [told[1.0][0], *others]
     logs = np.array([least - told[order][1] for order in _ORDERS]) / 2 / scale
     return [_unsure([told[order][0] for order in _ORDERS], logs, int(np.argmax(logs)))]
 
@@ -107,11 +108,13 @@ def _unsure(found: Sequence[OfVariance], logs: np.ndarray, n: int) -> OfVariance
     """The curve of number n, of some order, with what those of the others add to its errors. logs: of how
     likely each is."""
     weights = np.exp(logs - np.max(logs))
+    losses, orders = np.array([f.loss for f in found]), np.array([f.order for f in found])
     # Between two of those that are tried neither is known better than by half of what they are apart.
-    near = slice(max(n - 1, 0), n + 2)
+    at = _ORDERS.index(found[n].order)
+    apart = np.ptp(losses[max(n - 1, 0) : n + 2]), np.ptp(_ORDERS[max(at - 1, 0) : at + 2])
     unsure, order_error = (
-        float(np.hypot(np.sqrt(np.average((v - v[n]) ** 2, weights=weights)), np.ptp(v[near]) / _EVEN))
-        for v in (np.array([f.loss for f in found]), np.array([f.order for f in found]))
+        float(np.hypot(np.sqrt(np.average((v - v[n]) ** 2, weights=weights)), step / _EVEN))
+        for v, step in zip((losses, orders), apart, strict=True)
     )
     error = float(np.hypot(found[n].error, unsure))
     return found[n]._replace(error=error, order_error=order_error)
@@ -190,7 +193,7 @@ def response_score(
     if straight is None:
         return None
     borne_out = _bears_out(straight, bent, 1 - _SURE)
-    if not borne_out and (other := _other_order(allowed[1:], points, seconds, span)) is not None:
+    if not borne_out and (other := _other_order(allowed, points, seconds, span)) is not None:
         (bent, straight), borne_out = other, True
     gain = bent.gain if borne_out else 0.0
     loss, error = bent.loss, bent.error
@@ -224,12 +227,14 @@ def _bears_out(straight: OfMeans, bent: OfVariance, chance: float) -> bool:
 def _other_order(
     allowed: Sequence[OfVariance], points: Points, seconds: Mapping[int, float | None], span: float
 ) -> tuple[OfVariance, OfMeans] | None:
-    """Of curves between which the variance does not choose the one that the means bear out best, None where
-    they bear out none: each has its share of the chance."""
+    """Of curves between which the variance does not choose, beside the first of them, the one that the means
+    bear out best; None where they bear out none: each has its share of the chance."""
     told = [(bent, by_mean(*_rates(points, seconds, bent, span))) for bent in allowed]
     known = [(bent, straight) for bent, straight in told if straight is not None]
-    chance = (1 - _SURE) / max(len(known), 1)
-    borne = np.array([_bears_out(straight, bent, chance) for bent, straight in known], bool)
+    chance = (1 - _SURE) / max(len(known) - 1, 1)
+    borne = np.array(
+        [bent is not allowed[0] and _bears_out(straight, bent, chance) for bent, straight in known], bool
+    )
     if not borne.any():
         return None
     # Without a loss curves of all orders are one, so that their gains compare them.

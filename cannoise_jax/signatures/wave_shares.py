@@ -87,9 +87,15 @@ def around(power: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
     """Level of the power about every frequency where it is well above that of white noise, else 1: a line
     stands out of what is about it, noise that is stronger at low frequencies does not."""
 
+    # Beyond frequency 0 across, and beyond the highest, lies the other half of the plane: of an image the
+    # power at -ky, -kx is that at ky, kx.
+    more = min(_WINDOW // 2, power.shape[1] - 1)
+
     def sums(values: np.ndarray, side: int) -> np.ndarray:
-        # Beyond frequency 0 across lies the mirror image of the other side, not that frequency once more.
-        return side**2 * ndimage.uniform_filter(values, side, mode=("wrap", "mirror"))
+        other = np.roll(values[::-1], 1, 0)
+        plane = np.concatenate([other[:, more:0:-1], values, other[:, -2 : -2 - more : -1]], 1)
+        whole = side**2 * ndimage.uniform_filter(plane, side, mode=("wrap", "nearest"))
+        return whole[:, more : more + values.shape[1]]
 
     seen = (power > 0).astype(float)
     number = sums(seen, _WINDOW) - sums(seen, _OWN)

@@ -7,6 +7,7 @@ the training darks of the exposure, and that of a sensor model is the median of 
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -31,6 +32,10 @@ from cannoise_jax.training.refine import iso_of, own_black, span_of
 Source = Callable[[Any, Float[np.ndarray, "h w"]], Float[np.ndarray, "h w"]]
 
 REFERENCE_SCENES = 8
+
+
+class LightWarning(UserWarning):
+    """What a sensor model has of the light of its recordings, which other scenes do not have."""
 
 
 def gaussian(data: HalfReal) -> Source:
@@ -209,7 +214,13 @@ def open_source(
         return sensor(data, sensors[name])
     path = Path(name)
     if path.suffix == ".json" and path.is_file():
-        return sensor(data, SensorModel.load(path, mechanisms).under_steady_light())
+        camera = SensorModel.load(path, mechanisms)
+        alone = camera.under_steady_light()
+        gone = {f.mechanism for f in camera.mechanisms} - {f.mechanism for f in alone.mechanisms}
+        if gone:
+            said = f"{path}: taken without {', '.join(sorted(gone))}: the light of its recordings"
+            warnings.warn(said, LightWarning, stacklevel=2)
+        return sensor(data, alone)
     if path.exists():
         return learned(data, path)
     known = ", ".join([*NAMED, *FITTED, *REFINED])

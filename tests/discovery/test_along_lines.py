@@ -62,7 +62,13 @@ def test_read_noise_of_columns_passes(alter):
     assert step.log_p < -20 and pixels_alike(step) is None
 
 
-def test_columns_that_jump_while_they_are_read_have_no_read_noise_of_their_own():
+@pytest.mark.parametrize("hidden", [None, slice(0, None), slice(0, 90)])
+def test_columns_that_jump_while_they_are_read_have_no_read_noise_of_their_own(hidden):
+    """Whether or not a column of them is masked, as a bad one is, or most of one."""
     step = step_of(jumping)
+    if hidden is not None:
+        usable = step.before[0].usable.copy()
+        usable[hidden, 7] = False
+        step = step._replace(before=tuple(f._replace(usable=usable) for f in step.before))
     doubt = pixels_alike(step)
     assert step.log_p < -20 and doubt is not None and "loudest columns" in doubt.against[0]

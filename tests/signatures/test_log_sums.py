@@ -15,6 +15,11 @@ def test_sums_are_those_of_scipy():
     np.testing.assert_allclose(log_sum(LOGS, weights), weighted, rtol=1e-13)
 
 
+def test_what_does_not_count_may_be_the_largest():
+    logs = np.array([[1800.0, 5.0], [30.0, 5.0]])
+    np.testing.assert_allclose(log_sum(logs, np.array([0.0, 1.0])), [30.0, 5.0])
+
+
 def test_of_nothing_the_log_is_minus_infinity():
     assert log_sum(np.full((3, 2), -np.inf)).tolist() == [-np.inf, -np.inf]
 

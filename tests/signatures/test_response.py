@@ -112,7 +112,7 @@ def test_a_lamp_bears_out_a_variance_that_bends_by_itself_by_chance_alone():
 @pytest.mark.parametrize("order", [1.0, pytest.param(2.0, marks=pytest.mark.slow), 3.0])
 def test_a_variance_that_bends_by_itself_is_no_curve_of_any_order(order):
     """The order is that of the variance, where it tells one: the means are asked once, with one chance in
-    twenty."""
+    twenty. Here it does."""
     rng = np.random.default_rng(8)
     lamps = np.repeat([1e-3, 3e-3, 0.01, 0.03], 30)
     named = [score_of(recorded(rng, lost=0.15, lamp=lamp, order=order)).gain > 0 for lamp in lamps]

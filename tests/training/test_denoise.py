@@ -26,7 +26,7 @@ from cannoise_jax.training.denoise import (
     train_denoiser,
 )
 from cannoise_jax.training.denoise_data import dim_scenes, half_real, held_out_images, training_part
-from cannoise_jax.training.noise_sources import NAMED, open_source, refined, sensor
+from cannoise_jax.training.noise_sources import NAMED, LightWarning, open_source, refined, sensor
 from cannoise_jax.training.refine import iso_of, refine_data, span_of
 
 GAIN, READ_E, BLACK = 2.0, 3.0, 200.0
@@ -102,6 +102,17 @@ def test_a_sensor_model_is_sampled_in_the_datas_own_units(data):
     # Up to the error of the measured gain, with which the data's units are made.
     assert noise.mean() == pytest.approx(0, abs=0.02)
     assert noise.var() == pytest.approx(expected, rel=0.15)
+
+
+def test_a_camera_is_taken_without_the_light_of_its_recordings(data, tmp_path):
+    model = SensorModel.poisson_gaussian(GAIN, READ_E, 64.0, 1023.0, "RGGB")
+    model.save(tmp_path / "alone.json")
+    model.with_mechanism("flicker", amplitude=0.5, frequency=0.1).save(tmp_path / "lit.json")
+    with pytest.warns(LightWarning, match="flicker"):
+        lit = open_source(str(tmp_path / "lit.json"), data, {})
+    alone = open_source(str(tmp_path / "alone.json"), data, {})
+    clean, key = np.full((64, 64), 0.3, np.float32), jax.random.key(1)
+    np.testing.assert_array_equal(lit(key, clean), alone(key, clean))
 
 
 def test_a_learned_part_is_judged_by_what_denoisers_gain_on_frames_held_back(data):

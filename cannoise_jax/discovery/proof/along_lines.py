@@ -36,10 +36,12 @@ def pixels_alike(step: Step) -> Doubt | None:
     told = [_along(f, axes.varies_over) for f in step.before if not f.lit and f.frames > 1]
     if not told:
         return None
-    power, product = np.sum(told, axis=0)
-    number, order = len(power), np.argsort(-power)
+    power, product, count = np.sum(told, axis=0)
+    shown = (count > 0.5 * np.max(count)) & (power > 0)
+    power, product = power[shown], product[shown]
+    number, order = len(power), np.argsort(-power / count[shown])
     loud, quiet = order[: max(int(_LOUD * number), 1)], order[-max(int(_QUIET * number), 1) :]
-    if len(loud) < _FEWEST or not np.all(power > 0):
+    if len(loud) < _FEWEST:
         return None
     alike = product / power
     more = float(np.mean(alike[loud]) - np.mean(alike[quiet]))
@@ -50,10 +52,12 @@ def pixels_alike(step: Step) -> Doubt | None:
     return Doubt(more, (said,), instead=True)
 
 
-def _along(field: Fields, axis: str) -> Float[np.ndarray, "2 k"]:
-    """Of every line the sum of squares of its pixels about its mean, and that of products with the next."""
+def _along(field: Fields, axis: str) -> Float[np.ndarray, "3 k"]:
+    """Of every line the sum of squares of its pixels about its mean, that of products with the next, and how
+    many tell."""
     values = field.contrasts[: field.frames - 1] * field.usable
     values = within_lines(values, field.usable, "row" if axis == "row" else "column")
     values = values if axis == "row" else np.swapaxes(values, 1, 2)
     products = np.einsum("nkl,nkl->k", values[..., 1:], values[..., :-1])
-    return np.stack([np.einsum("nkl,nkl->k", values, values), products])
+    count = (field.frames - 1.0) * field.usable.sum(1 if axis == "row" else 0)
+    return np.stack([np.einsum("nkl,nkl->k", values, values), products, count])

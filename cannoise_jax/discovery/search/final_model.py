@@ -23,7 +23,7 @@ def standing(steps: list[Step], judged: list[Step], final: tuple[Step, ...], lev
     new = steps[len(judged) :]
     if not (judged and new and all(s.late for s in new)):
         return {}
-    most = sum(max(s.named.score.evidence, 0.0) for s in new)
+    most = sum(max(s.named.score.evidence, 0.0) for s in steps if s.late)
     return {n: s for n, s in enumerate(final) if s.log_p < level - _FAR_MORE * most}
 
 
