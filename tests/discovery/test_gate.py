@@ -140,6 +140,19 @@ def gated(bench, confirmed=True):
     return gate_module.gate(bench, sides, ("a", "b"), proofs), sides
 
 
+@pytest.mark.parametrize("without, stays", [(0.3, True), (0.22, False)])
+def test_findings_that_lose_stay_where_draws_are_much_farther_without(without, stays):
+    """However unsure that is."""
+    bench = Bench({"given": 0.5, "ab": 0.2, "a": without}, unsure=("a",))
+    proofs = SimpleNamespace(each=(_proof(True), _proof(False, -1.0)))
+    assert proofs.each[1].loses
+    sides = SimpleNamespace(
+        plain=gate_module.of_model("given"), model="given", bare="given",
+        of={(): "given", ("a",): "a", ("a", "b"): "ab"}.get, level=str, lowered=False,
+    )  # fmt: skip
+    assert gate_module.gate(bench, sides, ("a", "b"), proofs).model == ("ab" if stays else "a")
+
+
 def test_findings_with_a_name_stay_where_one_without_keeps_the_remainder_from_helping():
     """All are well described, b has no name."""
     areas = {"given": 0.4, "ab": 0.2, "ab+": 0.3, "a+": 0.05, "given+": 0.03}
