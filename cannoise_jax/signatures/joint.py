@@ -100,9 +100,10 @@ def predicted(
     out: dict[int, Predicted] = {}
 
     def settled(place: _Place, shape: tuple[int, ...]) -> np.ndarray:
-        mean, covariance = _posterior(place, _of_each(place, _variances(place, sigma)))
+        variance = _variances(place, sigma)
+        mean, covariance = _posterior(place, _of_each(place, variance))
         for k, n in enumerate(place.which):
-            doubt = np.minimum(covariance[:, k, k], max(sigma[n], 1e-12) ** 2).reshape(shape)
+            doubt = np.minimum(covariance[:, k, k], variance[k]).reshape(shape)
             out[n] = Predicted(maps[n].scaling, mean[:, k].reshape(shape), doubt)
         return mean
 

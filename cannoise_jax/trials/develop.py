@@ -1,4 +1,4 @@
-"""Fixed development sets: ten for every run of the tests, sixty for the slow one; their seeds are public."""
+"""Fixed development sets: ten and sixty for slow runs of the tests; their seeds are public."""
 
 from __future__ import annotations
 

@@ -240,21 +240,25 @@ def _next(seen: View, share: float) -> Statistics:
     Frames about their mean are alike by the less the more of them there are: in products of N of them with
     others lies -1/(N - 1) of their products with themselves, which is put back. Neighbours that are alike in
     a frame would be unlike those of the next one by it."""
-    n = len(seen.z)
-    matrix = helmert(n + 1).astype(np.float32)
-    kept = seen.kept
+    n, kept = len(seen.z), seen.kept
+    matrix, (h, w) = helmert(n + 1).astype(np.float32), kept.shape
+    asked = min(n + 1, _OWN_FRAMES)
+
+    def products(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        pairs = (
+            (one[: h - dy, max(-dx, 0) : w - max(dx, 0)], other[dy:, max(dx, 0) : w - max(-dx, 0)])
+            for dy, dx in NEXT_LAGS
+        )
+        return np.array([float(np.einsum("ij,ij->", a, b)) / (a.size * share) for a, b in pairs])
+
     total, own = np.zeros((2, len(NEXT_LAGS)))
-    before, asked = None, min(n + 1, _OWN_FRAMES)
-    h, w = kept.shape
+    before = None
     for t in range(n + 1):
-        frame = np.tensordot(matrix[:, t], seen.z, 1)
-        frame = bank.without_lines(frame) * kept
-        for k, (dy, dx) in enumerate(NEXT_LAGS):
-            b = frame[dy:, max(dx, 0) : w - max(-dx, 0)]
-            for sums, other in ((total, before), (own, frame if t < asked else None)):
-                if other is not None:
-                    a = other[: h - dy, max(-dx, 0) : w - max(dx, 0)]
-                    sums[k] += float(np.einsum("ij,ij->", a, b)) / (a.size * share)
+        frame = bank.without_lines(np.tensordot(matrix[:, t], seen.z, 1)) * kept
+        if before is not None:
+            total += products(before, frame)
+        if t < asked:
+            own += products(frame, frame)
         before = frame
     variance = np.array([1 / ((h - dy) * (w - abs(dx)) * share * n) for dy, dx in NEXT_LAGS])
     total = total / n + own / asked / n

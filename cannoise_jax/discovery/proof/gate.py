@@ -156,7 +156,7 @@ def gate(
         looked = panel.look(of_model(candidate), number)
         tried = _tried(what, some, panel, before, looked)
         than = _tried(what, some, panel, after, looked)
-        farther = after is not before and than.area is not None and than.area.value > _FARTHER_WITHOUT
+        farther = after is not before and _farther(than, _FARTHER_WITHOUT)
         enters = not tried.worse and not (than.worse or farther)
         all_tried = [t._replace(entered=t.entered and not enters) for t in all_tried]
         all_tried.append(tried._replace(entered=enters))
@@ -260,8 +260,8 @@ def _surely(tried: Tried) -> bool:
     return tried.area is not None and tried.area.below(BY_CHANCE)
 
 
-def _farther(tried: Tried) -> bool:
-    return tried.area is not None and tried.area.value > FARTHER
+def _farther(tried: Tried, by: float = FARTHER) -> bool:
+    return tried.area is not None and tried.area.value > by
 
 
 def _named_alone(gated: Gated, panel: Panel, sides: Sides, sure: tuple[Step, ...]) -> Gated:
