@@ -243,7 +243,8 @@ ENTRIES: tuple[Entry, ...] = (
              "exposure, the level of the darks does not.",
              None, "sensor", "e-/s", "mean dark current, e-/s", listed=530, says_exposure=True),
         COMPENSATED_DARK_CURRENT,
-        needs="darks at two exposures or more, two frames of each, exposure_s stated, and flats for the gain",
+        needs="darks at two exposures or more, two frames of each whose noise exceeds a code, exposure_s "
+        "stated, and flats for the gain",
         signatures=lambda recorded: looks.dark_noise.beside_level(
             recorded, name="dark_noise", rate="e_per_s", share="share"),
         examples=Examples("variance", shown={"e_per_s": 30.0}, dim=True, strong={"e_per_s": 60.0}),

@@ -45,6 +45,7 @@ from cannoise_jax.signatures import (
     response,
     scales,
     shape,
+    site_light,
     smear,
     smooth_maps,
     spectra,

@@ -264,7 +264,7 @@ ENTRIES: tuple[Entry, ...] = (
                  27, "sensor", "1", f"rms relative spread of the read noise over the {axis}s",
                  ("pixel_read_noise_map",), listed=listed),
             record,
-            needs="darks of three frames or more",
+            needs="darks of three frames or more whose noise exceeds two thirds of a code",
             signatures=looks.always(
                 looks.noisy_lines.own_noise(axis, name=f"{axis}_spread", parameter="spread", smooth=("comb",),
                                             of_pixels=("pixel_spread", "kurtosis", "telegraph")),
@@ -281,7 +281,7 @@ ENTRIES: tuple[Entry, ...] = (
              "Every pixel has its own fixed read noise.",
              27, "sensor", "1", "rms relative spread of the read noise over the pixels", listed=130),
         PIXEL_READ_NOISE_MAP,
-        needs="three dark frames or more; eight are better",
+        needs="three dark frames or more whose noise exceeds two thirds of a code; eight are better",
         signatures=looks.always(
             looks.pixels.own_noise(name="pixel_spread", parameter="spread", covers=looks.NOISY,
                                    smooth=("comb",), before=("telegraph",)),

@@ -246,7 +246,8 @@ ENTRIES: tuple[Entry, ...] = (
              "Random telegraph signal: a few pixels jump between two levels.",
              28, "sensor", "DN", RMS, listed=140),
         RTS,
-        needs="three dark frames or more; a hundred show the two levels",
+        needs="three dark frames or more whose noise exceeds two thirds of a code; a hundred show the two "
+        "levels",
         signatures=looks.always(
             looks.telegraph.jumping(name="telegraph", mechanism="rts", covers=looks.NOISY,
                                     fixed="hot_additive", growing="hot_thermal",

@@ -64,4 +64,9 @@ _GROWING = looks.if_exposures_differ(
 
 def signatures(recorded: Recorded) -> tuple[Signature, ...]:
     """Those that the recordings can be searched for."""
-    return (*_ALWAYS, *_GROWING(recorded), looks.curve.bent(recorded, name=looks.BENT, covers=(looks.BENT,)))
+    return (
+        *_ALWAYS,
+        *_GROWING(recorded),
+        looks.curve.bent(recorded, name=looks.BENT, covers=(looks.BENT,)),
+        *looks.site_light.apart(recorded, name="sites_apart", covers=looks.COVERS_NOTHING),
+    )

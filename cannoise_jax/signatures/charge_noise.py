@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float
 
-from cannoise_jax.physics.robust import robust_std
-from cannoise_jax.signatures.fields import Fields, channel_index
+from cannoise_jax.physics.robust import median, robust_std
+from cannoise_jax.signatures.fields import Fields, channel_index, helmert
 
 _FAR = 6.0
 """Standard deviations from which on what a pixel collects is its own, whatever the others collect."""
 
 
+_LEAST_EVEN = 0.05
+"""Of the noise that does not grow, at least, over what it was taken to be."""
 _LOWEST = 0.001
 """Share of the pixels whose charge lies below what is taken as none: single ones are chance."""
 
@@ -36,9 +38,12 @@ def of_noise(field: Fields, root: Float[np.ndarray, "h w"], shot: Float[np.ndarr
     return field if static is None else _level_out(field, static)
 
 
-def _rest(field: Fields, variance: np.ndarray) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+def _rest(
+    field: Fields, variance: np.ndarray, least: float = _LEAST_EVEN
+) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
     """What of the noise does not grow, as the frames show it, and what of that is shot noise, DN^2: what is
-    known to be uneven as it is, such as that of a glow, and as much of the rest as there is beside it."""
+    known to be uneven as it is, such as that of a glow, and as much of the rest as there is beside it, that
+    share of it at least."""
     before = field.sigma.astype(np.float64) ** 2
     of_charge = field.shot * before
     uneven = _beyond_least(field, of_charge)
@@ -47,7 +52,7 @@ def _rest(field: Fields, variance: np.ndarray) -> tuple[Float[np.ndarray, "h w"]
     # Where little of it is known, the rest is told best.
     share = field.usable / (before + variance) ** 2
     told = np.sum(share * (each.mean(0) - variance - uneven)) / np.sum(share * even)
-    left = max(float(told), 0.05)
+    left = max(float(told), least)
     return uneven + even * left, uneven + (of_charge - uneven) * left
 
 
@@ -94,7 +99,11 @@ def steadied(
         if f.lit or not f.exposure_s or not np.all(f.gain > 0) or not len(f.contrasts):
             return f
         variance = f.gain[channel_index(rate.shape)] ** 2 * charge * f.exposure_s
-        growth = _growth(f, _rest(f, variance)[0] + variance)
+        # Where single pixels seem to collect far less than none, all others have so much more, and as much
+        # less of what does not grow.
+        least = _LEAST_EVEN * f.sigma.astype(np.float64) ** 2
+        total = np.maximum(_rest(f, variance, -np.inf)[0] + variance, least)
+        growth = _growth(f, total)
         return f._replace(contrasts=f.contrasts / growth, louder=f.louder * growth)
 
     return tuple(own(f) for f in fields)
@@ -134,6 +143,29 @@ def own_charge(fields: tuple[Fields, ...]) -> Float[np.ndarray, "h w"] | None:
     # None collects far less than the others, who are about the mean: one that seems to jumps between levels.
     far = z > _FAR * max(np.sqrt(spread), 1.0)
     return np.where(seen, np.where(far, 1.0, share) * z / np.sqrt(np.maximum(information, 1e-30)), 0.0)
+
+
+_FEWEST_FRAMES = 3
+"""Frames of a dark whose median one hit does not move."""
+
+
+def by_medians(fields: tuple[Fields, ...], at: Bool[np.ndarray, "h w"]) -> tuple[Fields, ...] | None:
+    """The darks with the median of their frames in place of the mean at some pixels: a hit in one frame is no
+    charge of all. None where a dark has too few frames for one."""
+    darks = [f for f in fields if not f.lit and f.static is not None and f.exposure_s]
+    if not darks or min(f.frames for f in darks) < _FEWEST_FRAMES:
+        return None
+
+    def one(f: Fields) -> Fields:
+        if f.lit or f.static is None or not f.exposure_s or not len(f.contrasts):
+            return f
+        root = np.float32(np.sqrt(f.frames))
+        inner = helmert(f.frames).T.astype(np.float32) @ f.contrasts[: f.frames - 1, at]
+        static = np.array(f.static)
+        static[at] += root * median(inner, 0)
+        return f._replace(static=static)
+
+    return tuple(one(f) for f in fields)
 
 
 def by_charge(field: Fields, rate: Float[np.ndarray, "h w"] | None) -> Float[np.ndarray, "h w"]:

@@ -206,13 +206,14 @@ def glow_again(looked: Score[Glow], second: tuple[Fields, ...]) -> Score[Glow] |
     u, i, _ = sums
     own = _weights(u, i)
     both = looked.payload.weights + own
+    best = int(np.argmax(both))
     amplitude, error = _strength(u, i, both)
-    amplitude, gain = max(amplitude, 0.0), float(own[np.argmax(both)])
+    amplitude, gain, shift = max(amplitude, 0.0), float(own[best]), float(1 / np.sqrt(i[best]))
     if looked.payload.formed:
         amplitude, error = _one(second, looked.payload.template)
-        gain = 0.5 * (amplitude / error) ** 2
+        gain, shift = 0.5 * (amplitude / error) ** 2, error
     parameters = {"glow": (amplitude, "DN", error)}
-    return looked.replace(gain=gain, amplitude=amplitude, error=error, parameters=parameters)
+    return looked.replace(gain=gain, amplitude=amplitude, error=error, shift=shift, parameters=parameters)
 
 
 def glow_absorb(fields: tuple[Fields, ...], score: Score[Glow]) -> tuple[Fields, ...]:

@@ -15,7 +15,7 @@ from cannoise_jax.recordings.recording import KINDS
 from cannoise_jax.signatures.added import as_map, draw_pixels, placed, posterior, strength
 from cannoise_jax.signatures.answers import less_map, response, shows, stays, told
 from cannoise_jax.signatures.behind_gain import behind_gain
-from cannoise_jax.signatures.charge_noise import own_charge, steadied
+from cannoise_jax.signatures.charge_noise import by_medians, own_charge, steadied
 from cannoise_jax.signatures.fields import Fields, channel_index, helmert, longest_exposure, quoted_at
 from cannoise_jax.signatures.group_sums import LineSums, Pixels, by_own_noise
 from cannoise_jax.signatures.handed import Addition, Found, Many, Predicted
@@ -224,8 +224,12 @@ def pixel_absorb(fields: tuple[Fields, ...], score: Score[float], *, scaling: st
     if scaling != "exposure":
         return left
     # Offsets that are not found yet are no charge: those of a column would make it louder or quieter.
-    rate = own_charge(fields)
-    return left if rate is None else steadied(left, rate, (sums.information > 0) & ~apart)
+    known = sums.information > 0
+    steady = by_medians(fields, apart) if apart.any() else fields
+    if steady is None:
+        known &= ~apart
+    rate = own_charge(steady or fields)
+    return left if rate is None else steadied(left, rate, known)
 
 
 def own_score(fields: tuple[Fields, ...]) -> Score | None:

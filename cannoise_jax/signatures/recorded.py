@@ -90,7 +90,8 @@ class Recorded(NamedTuple):
       at the lowest gain; zeros of none.
     charge: variance that the charge of the shortest dark of every gain setting has beyond that of the
       simulator's, DN^2.
-    unlit: the darks as they were recorded, with all that is taken out of them later.
+    unlit: the darks as they were recorded, with all that is taken out of them later. flats: the same of flats
+      of a sensor without colours, without their contrasts.
     """
 
     black: Float[np.ndarray, "g 4"]
@@ -111,6 +112,7 @@ class Recorded(NamedTuple):
     rise: tuple[float, float]
     charge: tuple[float, ...]
     unlit: tuple[Fields, ...]
+    flats: tuple[Fields, ...] = ()
 
     @property
     def several_exposures(self) -> bool:

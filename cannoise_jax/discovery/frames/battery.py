@@ -117,7 +117,7 @@ def prepare(
     if drawn is not None:
         rise = drawn_rise(drawn, baselines, units)
         black, rounded = drawn_black(drawn, baselines, units, rise[0], black), 0.0
-    jitter = frame_jitter(same)
+    jitter, mono = frame_jitter(same), first.cfa == "MONO"
     recorded = Recorded(
         black=black,
         greens=greens,
@@ -129,7 +129,7 @@ def prepare(
         fitted_too=drawn is not None,
         step=step,
         span=span,
-        mono=capture.recordings[0].cfa == "MONO",
+        mono=mono,
         times={n: list(frames) for n, frames in enumerate(chosen)},
         occurred=occurrences(stacks, fields, chosen, step),
         units=tuple(units),
@@ -137,6 +137,7 @@ def prepare(
         rise=rise,
         charge=charge_beyond(same, jitter, rise, baselines) if stated is not None else (),
         unlit=tuple(f for f in same if not f.lit),
+        flats=tuple(f._replace(contrasts=f.contrasts[:0].copy()) for f in same if f.kind == "flat" and mono),
     )
     # Every pixel of some flats is full in one frame or another: these tell the codes of full ones alone.
     told = [n for n, f in enumerate(same) if f.usable.any()] or range(len(same))

@@ -38,7 +38,6 @@ from cannoise_jax.discovery.proof.gate import Gated
 from cannoise_jax.discovery.proof.gaussian import not_gaussian
 from cannoise_jax.discovery.proof.one_sided import one_sided
 from cannoise_jax.discovery.proof.own_part import (
-    TRACE,
     Borne,
     at_home,
     borne_by,
@@ -222,9 +221,9 @@ def doubts(
             if confirmed[n] and outshines(steps[n], [steps[k] for k in unknown]):
                 continue
             larger = [k for k in unknown if outweighs(steps[k], steps[n])]
-            moved = sum(float(v.sum()) for v in most_of([theirs[k] for k in larger if k in theirs]).values())
             of_its_own = confirmed[n] and not larger
-            out[n] = shadowed(mine[n], every_one, of_its_own, TRACE * moved)
+            moved = most_at([theirs[k] for k in larger if k in theirs])
+            out[n] = shadowed(mine[n], every_one, of_its_own, moved)
     return tuple(out)
 
 

@@ -116,11 +116,17 @@ def _less_known(whole: Score, part: Score) -> float:
 
 
 def jackknife_interval(
-    signature: Signature, fields: tuple[Fields, ...], found: Score, again: Score, gain: float
+    signature: Signature,
+    fields: tuple[Fields, ...],
+    found: Score,
+    again: Score,
+    gain: float,
+    of: Callable[[tuple[Fields, ...]], Score | None] | None = None,
 ) -> tuple[float, float]:
     """90 % interval of a held-out gain by leaving out bands of rows, or blocks of frames where a row or frame
-    shares what is new in it; nan for fewer than two blocks. again: the score of all frames held back. What is
-    left without a block knows less, by much where that was most of the longest dark: gains are compared as
+    shares what is new in it; nan for fewer than two blocks. again: the score of all frames held back. of: how
+    the frames that are left score the finding, as `again` was; None: by `score_again`. What is left without a
+    block knows less, by much where that was most of the longest dark: gains are compared as
     they would be of as much. The lower end is no lower than what is gained without any one block, less a
     margin."""
     size = sum(f.contrasts.size for f in fields)
@@ -130,7 +136,8 @@ def jackknife_interval(
     if len(blocks) < 2:
         return float("nan"), float("nan")
     left: Callable[..., tuple[Fields, ...]] = without_pixels if banded else leave_out
-    parts = each(lambda block: signature.score_again(left(fields, block), found), blocks)
+    scored = of or (lambda those: signature.score_again(those, found))
+    parts = each(lambda block: scored(left(fields, block)), blocks)
     gains = np.array([held_out_gain(found, s) * _less_known(again, s) for s in parts if s is not None])
     if gains.size < 2:
         return float("nan"), float("nan")

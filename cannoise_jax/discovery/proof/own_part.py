@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -169,7 +169,7 @@ def most_at(every: Iterable[list[Borne]]) -> dict[tuple[str, str], float]:
     """The most nats that any mechanism moves in every recording, of what stays and of what is redrawn."""
     out: dict[tuple[str, str], float] = {}
     for each in every:
-        for at, nats in _moved_at(each).items():
+        for at, nats in moved_at(each).items():
             out[at] = max(out.get(at, 0.0), nats)
     return out
 
@@ -180,7 +180,7 @@ def at_home(each: list[Borne], largest: dict[tuple[str, str], float]) -> list[Bo
 
     What differs where another one is far stronger speaks of that: hot pixels and dark current fill the maps
     of long darks, offsets of pixels are told by the short ones."""
-    mine = _moved_at(each)
+    mine = moved_at(each)
     home = {at for at, nats in mine.items() if nats >= largest.get(at, 0.0)}
     told = {
         part for _, part in home if sum(n for at, n in mine.items() if at in home and at[1] == part) > _MUCH
@@ -202,11 +202,21 @@ of all pixels beside them, of 7,600 nats of its own evidence, moved 32, and 17 o
 def overshadowed(each: list[Borne], largest: dict[tuple[str, str], float]) -> bool:
     """Whether in every recording another mechanism moves so much more that what is left of the part of this
     one speaks of that. largest: see `most_at`."""
-    mine = _moved_at(each)
+    mine = moved_at(each)
     return all(nats < TRACE * largest.get(at, 0.0) for at, nats in mine.items())
 
 
-def _moved_at(each: list[Borne]) -> dict[tuple[str, str], float]:
+def clear_of(each: list[Borne], larger: Mapping[tuple[str, str], float]) -> list[Borne]:
+    """Only the recordings in which a mechanism moves more than what may be a trace of others. larger: nats
+    that those move, see `moved_at`."""
+    clear = {at for at, nats in moved_at(each).items() if nats >= TRACE * larger.get(at, 0.0)}
+    return [
+        b if (b.judged.where, FAMILIES[b.judged.family].part) in clear else b._replace(own=b.own & False)
+        for b in each
+    ]
+
+
+def moved_at(each: list[Borne]) -> dict[tuple[str, str], float]:
     """Nats that a mechanism moves in every recording, of what stays and of what is redrawn."""
     out: dict[tuple[str, str], float] = {}
     for b in each:

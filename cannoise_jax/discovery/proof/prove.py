@@ -205,8 +205,9 @@ def prove(
             if looked is not None and both is not None:
                 score = strength_beyond(looked, both, score)
         told = step.named.signature.strength
-        if score is not None and told is not None:
-            score = told(step.named.score, looking(n), fields) or score
+        strength = None if told is None else partial(told, step.named.score, looking(n))
+        if score is not None and strength is not None:
+            score = strength(fields) or score
         law = laws[n]
         if law is not None and pixels:
             reference = complete_model[cut(n)]
@@ -223,7 +224,7 @@ def prove(
             out.append(Proof(None, None, np.nan, np.nan, 0))
         else:
             gain = held_out_gain(step.named.score, score)
-            low, high = jackknife_interval(signature, fields, step.named.score, score, gain)
+            low, high = jackknife_interval(signature, fields, step.named.score, score, gain, strength)
             out.append(Proof(score, gain, low, high, pixels))
         if together is not None and signature is not None and signature.redraws_frames:
             out[-1] = _of_every_frame(out[-1], signature.score(together(n)))

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 
-from cannoise_jax.discovery.proof.own_part import TRACE, Borne, own_part, owned
+from cannoise_jax.discovery.proof.own_part import TRACE, Borne, clear_of, own_part, owned
 from cannoise_jax.discovery.search.name import Doubt
 from cannoise_jax.discovery.search.steps import Step
 
@@ -47,19 +48,26 @@ def outshines(one: Step, unknown: Sequence[Step]) -> bool:
 
 
 def shadowed(
-    each: list[Borne], unknown: dict[tuple[str, str], np.ndarray], of_its_own: bool, least: float = 0.0
+    each: list[Borne],
+    unknown: dict[tuple[str, str], np.ndarray],
+    of_its_own: bool,
+    larger: Mapping[tuple[str, str], float] = MappingProxyType({}),
 ) -> Doubt | None:
     """What speaks against a name beside something unknown: that it accounts for less than half of its part,
-    or for less than `least` nats, that it bears on little but what the unknown bears on far more, or on
-    nothing at all where its evidence is not of its own: not shown by the frames held back, or less than that
-    of an unknown finding of its kind. What moves no more than chance does is nothing: the frames held back
-    decide."""
+    or for little in the recordings in which no larger unknown finding moves far more, that it bears on little
+    but what the unknown bears on far more, or on nothing at all where its evidence is not of its own: not
+    shown by the frames held back, or less than that of an unknown finding of its kind. What moves no more
+    than chance does is nothing: the frames held back decide. larger: nats that larger unknown findings of its
+    kind move, by recording and part, see `moved_at`: an offset that biases show is no trace of what grows
+    with the exposure."""
     part = own_part(each)
     if of_its_own and (max(part.before, part.after) < SLACK or not part.tells):
         return None
     whole = sum(float(b.change[b.own].sum()) for b in each)
     against = Doubt(part.after / part.before if part.before > 0 else 1.0, (_SHADOW,), instead=True)
-    if part.after > LEFT_TOGETHER * part.before or part.before < least:
+    if part.after > LEFT_TOGETHER * part.before or (
+        larger and own_part(clear_of(each, larger)).before < SLACK
+    ):
         return against
     alone = [b for b in each if b.at not in unknown]
     alone += owned([b for b in each if b.at in unknown], unknown)

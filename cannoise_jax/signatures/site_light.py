@@ -1,0 +1,220 @@
+"""What the sites of a sensor without colours have apart in the light.
+
+Rows, columns or diagonals that are read by turns have converters of their own, whose gains differ, or bend
+at another signal. A sensor with colours has other light at every site, so that its flats cannot tell; one
+without has the same, but for a gradient, which the mean of the neighbours on both sides has as well. What
+pixels, rows and columns have apart by chance is told by the scatter of bands of the frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy import ndimage
+
+from cannoise_jax.physics.core.grammar import Point
+from cannoise_jax.physics.robust import median, robust_std
+from cannoise_jax.recordings.recording import mosaic_map
+from cannoise_jax.signatures.added import placed
+from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.handed import Addition, Found, Many
+from cannoise_jax.signatures.recorded import Recorded
+from cannoise_jax.signatures.remembered import remembered
+from cannoise_jax.signatures.scatter import scatter
+from cannoise_jax.signatures.score import ONE_PARAMETER, Score, sidak, student_log_p
+from cannoise_jax.signatures.signature import (
+    BY_SHIFT,
+    NO_CLOSED_FORM,
+    NO_LAW,
+    NOT_SIMULATED,
+    Axes,
+    Signature,
+    unchanged,
+)
+
+_AROUND = (
+    ("rows", np.array([[0.0, 1, 0], [0, 0, 0], [0, 1, 0]]) / 2, (1, 1, -1, -1)),
+    ("columns", np.array([[0.0, 0, 0], [1, 0, 1], [0, 0, 0]]) / 2, (1, -1, 1, -1)),
+    ("diagonals", np.array([[0.0, 1, 0], [1, 0, 1], [0, 1, 0]]) / 4, (1, -1, -1, 1)),
+)
+"""What is read by turns, the mean of the neighbours of the other kind, and the sign of every site."""
+_FAR = 6.0
+"""Standard deviations from the median to which a pixel counts."""
+_STEADY = 1e-3
+"""Chance below which a share of the light is another one in other flats."""
+
+
+class Parted(NamedTuple):
+    """By how much the sites of one flat differ, as shares of the light: half the difference of each kind [3],
+    its variance by the noise of the pixels, the level, DN, and what every cell of 2 x 2 pixels adds to each
+    beyond the mean [3, h, w]."""
+
+    value: Float[np.ndarray, "3"]
+    variance: Float[np.ndarray, "3"]
+    level: float
+    cells: Float[np.ndarray, "3 h w"]
+
+
+class Sites(NamedTuple):
+    """Half the difference of even and odd rows, columns and diagonals as shares of the light; by flat, its
+    level, DN, and these; whether all flats have the same."""
+
+    shares: Float[np.ndarray, "3"]
+    by_level: tuple[tuple[float, tuple[float, ...]], ...]
+    steady: bool
+
+
+def _parted(f: Fields, light: Float[np.ndarray, "h w"]) -> Parted | None:
+    """Of the usable pixels of one flat; None where it shows no light."""
+    rows, columns = (n // 2 * 2 for n in light.shape)
+    if min(rows, columns) < 8 or not f.usable.any():
+        return None
+    level = float(np.mean(light[f.usable]))
+    if level <= 0:
+        return None
+    values, cells = [], []
+    smooth = np.maximum(ndimage.uniform_filter(light, 16, mode="nearest"), 0.1 * level)
+    for _, around, signs in _AROUND:
+        apart = (light - ndimage.correlate(light, around, mode="nearest")) / (2 * smooth)
+        known = f.usable & (ndimage.correlate(f.usable.astype(np.float64), around, mode="nearest") > 0.999)
+        known[[0, -1]] = known[:, [0, -1]] = False
+        apart *= mosaic_map(np.asarray(signs, np.float64), f.mean.shape)
+        middle = median(apart[known]) if known.any() else 0.0
+        limit = _FAR * robust_std(apart[known], 0.0) if known.any() else 0.0
+        apart = np.where(known, np.clip(apart, middle - limit, middle + limit), 0.0)
+        number = max(int(known.sum()), 1)
+        values.append(float(apart.sum()) / number)
+        away = np.where(known, apart - values[-1], 0.0)[:rows, :columns] / number
+        cells.append(away.reshape(rows // 2, 2, columns // 2, 2).sum((1, 3)))
+    noise = float(np.mean(f.sigma[f.usable].astype(np.float64) ** 2)) / f.frames / level**2
+    return Parted(np.array(values), np.full(3, noise / f.usable.sum()), level, np.array(cells))
+
+
+Look = Callable[[Fields], Parted | None]
+
+
+def looking_at(flats: Sequence[Fields]) -> Look:
+    """`_parted` of the light of these flats as they were recorded, whatever was taken out of them since, by
+    the pixels that are usable now."""
+    light = {f.number: _light(f) for f in flats if f.static is not None}
+
+    @remembered("usable")
+    def look(f: Fields) -> Parted | None:
+        return _parted(f, light[f.number]) if f.number in light else None
+
+    return look
+
+
+def _light(f: Fields) -> Float[np.ndarray, "h w"]:
+    """Mean of all frames above black, DN."""
+    black = mosaic_map(np.asarray(f.black, np.float64), f.mean.shape)
+    return f.mean + f.static * f.sigma / np.sqrt(f.frames) - black
+
+
+def sites_score(fields: tuple[Fields, ...], *, look: Look) -> Score[Sites] | None:
+    """Differences of the sites in the flats, the same share of the light in all or not."""
+    told = [p for f in fields if f.lit and (p := look(f)) is not None]
+    if not told:
+        return None
+    darks = [f for f in fields if not f.lit and f.static is not None]
+    dark = sum((f.frames * f.usable.sum() / float(median(f.sigma)) ** 2 for f in darks), 0.0)
+    black = 1 / dark if dark > 0 else 0.0
+    weight = 1 / np.array([p.variance[0] + black / p.level**2 for p in told])
+    weight /= weight.sum()
+    mean = np.tensordot(weight, [p.value for p in told], 1)
+    cells = np.tensordot(weight, [p.cells for p in told], 1)
+    least = float(np.sum(weight**2 * [p.variance[0] + black / p.level**2 for p in told]))
+    log_p, errors, gain = [], [], 0.0
+    for k in range(3):
+        variance, freedom = scatter(cells[k])
+        variance = max(variance, least)
+        if not np.isfinite(variance) or freedom < 1:
+            return None
+        z = mean[k] / np.sqrt(variance)
+        log_p.append(student_log_p(z, freedom))
+        errors.append(variance)
+        gain += 0.5 * z**2
+    changes = _changes(told, weight, mean, cells, black)
+    log_p += [p for p, _ in changes]
+    gain += sum(g for _, g in changes)
+    steady = not changes or bool(min(p for p, _ in changes) > np.log(_STEADY / len(changes)))
+    amplitude, error = float(np.sqrt(np.sum(mean**2))), float(np.sqrt(np.mean(errors)))
+    names = [name for name, *_ in _AROUND]
+    largest = int(np.argmax(np.abs(mean)))
+    return Score(
+        log_p=sidak(min(log_p), len(log_p)),
+        gain=gain,
+        penalty=len(log_p) * ONE_PARAMETER / 2,
+        amplitude=amplitude,
+        error=error,
+        shift=error,
+        power=1,
+        parameters={"sigma": (amplitude, "1", error)},
+        where={"axis": "channel", "channel": f"even and odd {names[largest]}"},
+        payload=Sites(mean, tuple((p.level, tuple(map(float, p.value))) for p in told), steady),
+    )
+
+
+def _changes(
+    told: list[Parted], weight: np.ndarray, mean: np.ndarray, cells: np.ndarray, black: float
+) -> list[tuple[float, float]]:
+    """Log p and nats of what each flat differs by from all of them, of each kind: frozen patterns that are
+    the same share of the light are in none of it."""
+    out = []
+    for n, p in enumerate(told if len(told) > 1 else []):
+        for k in range(3):
+            variance, freedom = scatter(p.cells[k] - cells[k])
+            variance = max(variance, (p.variance[k] + black / p.level**2) * max(1 - weight[n], 0.0))
+            if not np.isfinite(variance) or variance <= 0 or freedom < 1:
+                continue
+            z = (p.value[k] - mean[k]) / np.sqrt(variance)
+            out.append((float(student_log_p(z, freedom)), 0.5 * z**2))
+    return out
+
+
+def apart(recorded: Recorded, *, name: str, covers: tuple[str, ...]) -> tuple[Signature, ...]:
+    """Sites that answer to the light apart, of a sensor without colours."""
+    if not recorded.mono:
+        return ()
+    look = looking_at(recorded.flats)
+
+    def pattern(fields: Many, score: Score[Sites], rng: np.random.Generator) -> np.ndarray:
+        cell = np.sum([v * np.array(s) for v, (*_, s) in zip(score.payload.shares, _AROUND, strict=True)], 0)
+        return mosaic_map(cell, fields[0].mean.shape)
+
+    steadily = placed(Point("photons", "mean", "channel", "frozen", "multiply"))
+
+    def place(found: Found) -> Addition | None:
+        return steadily(found) if found.score.payload.steady else None
+
+    def kind(score: Score[Sites]) -> str:
+        k = int(np.argmax(np.abs(score.payload.shares)))
+        what = f"even and odd {_AROUND[k][0]} differ by a share of the light"
+        if score.payload.steady:
+            return what
+        by = sorted((level, 200 * values[k]) for level, values in score.payload.by_level)
+        return f"{what} that is another one at another signal, " + ", ".join(
+            f"{percent:.2g} % at {level:.0f} DN" for level, percent in by
+        )
+
+    return (
+        Signature(
+            name=name,
+            axes=Axes("photons", "channel", "frozen", "signal", "contrast"),
+            reads=frozenset({"usable", "sigma"}),
+            score=partial(sites_score, look=look),
+            absorb=unchanged,
+            covers=covers,
+            predict=NO_LAW,
+            pattern=pattern,
+            simulate=NOT_SIMULATED,
+            place=place,
+            detectable=BY_SHIFT,
+            least=NO_CLOSED_FORM,
+            kind=kind,
+        ),
+    )
