@@ -84,10 +84,14 @@ def _level_out(field: Fields, static: np.ndarray) -> Fields:
 
 
 def steadied(
-    fields: tuple[Fields, ...], rate: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"]
+    fields: tuple[Fields, ...],
+    rate: Float[np.ndarray, "h w"],
+    known: Bool[np.ndarray, "h w"],
+    error: Float[np.ndarray, "h w"],
 ) -> tuple[Fields, ...]:
     """The darks with contrasts in units of the noise that each pixel's own charge has, e-/s; only those: of
     what stays the weights are those by which maps were taken out of it. known: pixels whose charge is known.
+    error: by how much it is not, which `Answers.doubt` keeps.
 
     Without it pixels of more dark current than others would be pixels of more read noise, or ones that jump.
     """
@@ -103,8 +107,10 @@ def steadied(
         # less of what does not grow.
         least = _LEAST_EVEN * f.sigma.astype(np.float64) ** 2
         total = np.maximum(_rest(f, variance, -np.inf)[0] + variance, least)
-        growth = _growth(f, total)
-        return f._replace(contrasts=f.contrasts / growth, louder=f.louder * growth)
+        growth, gain = _growth(f, total), f.gain[channel_index(rate.shape)]
+        doubt = np.where(known, gain**2 * f.exposure_s * error / total, 0.0)
+        answers = f.answers._replace(doubt=doubt.astype(np.float32))
+        return f._replace(contrasts=f.contrasts / growth, louder=f.louder * growth, answers=answers)
 
     return tuple(own(f) for f in fields)
 
@@ -115,7 +121,35 @@ _LEAST = 0.1
 
 def own_charge(fields: tuple[Fields, ...]) -> Float[np.ndarray, "h w"] | None:
     """What pixels collect beyond the mean of all, e-/s, as far as they differ by more than noise; None
-    without darks of two exposures. Fixed offsets of a pixel are fitted beside it, and are none."""
+    without darks of two exposures. Fixed offsets of a pixel are fitted beside it, and are none, nor is what
+    the noise was brought in units of, see `steadied`."""
+    told = _told_of_charge(fields)
+    if told is None:
+        return None
+    top, information, seen = told
+    z = np.where(seen, top / np.sqrt(np.maximum(information, 1e-30)), 0.0)
+    spread = robust_std(z[seen], 0) ** 2
+    chance = _FAR * np.sqrt(np.pi / np.count_nonzero(seen))
+    share = max(1 - 1 / spread, 0.0) if spread > 1 + chance else 0.0
+    # None collects far less than the others, who are about the mean: one that seems to jumps between levels.
+    far = z > _FAR * max(np.sqrt(spread), 1.0)
+    for f in fields:
+        seen = seen & ~np.asarray(f.answers.steadied)
+    return np.where(seen, np.where(far, 1.0, share) * z / np.sqrt(np.maximum(information, 1e-30)), 0.0)
+
+
+def error_of_charge(fields: tuple[Fields, ...]) -> Float[np.ndarray, "h w"]:
+    """Standard error of what each pixel collects, e-/s; zero where nothing tells."""
+    told = _told_of_charge(fields)
+    if told is None:
+        return np.zeros(fields[0].mean.shape)
+    return np.where(told[2], 1 / np.sqrt(np.maximum(told[1], 1e-30)), 0.0)
+
+
+def _told_of_charge(
+    fields: tuple[Fields, ...],
+) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"], Bool[np.ndarray, "h w"]] | None:
+    """Score and information of every pixel's charge per second beside its offset, and where there is any."""
     darks = [f for f in fields if not f.lit and f.static is not None and f.exposure_s is not None]
     top: np.ndarray | float = 0.0
     information: np.ndarray | float = 0.0
@@ -134,15 +168,7 @@ def own_charge(fields: tuple[Fields, ...]) -> Float[np.ndarray, "h w"] | None:
     if not np.ndim(information):
         return None
     seen = np.asarray(information) > 1e-6 * np.max(information)
-    if not seen.any():
-        return None
-    z = np.where(seen, top / np.sqrt(np.maximum(information, 1e-30)), 0.0)
-    spread = robust_std(z[seen], 0) ** 2
-    chance = _FAR * np.sqrt(np.pi / np.count_nonzero(seen))
-    share = max(1 - 1 / spread, 0.0) if spread > 1 + chance else 0.0
-    # None collects far less than the others, who are about the mean: one that seems to jumps between levels.
-    far = z > _FAR * max(np.sqrt(spread), 1.0)
-    return np.where(seen, np.where(far, 1.0, share) * z / np.sqrt(np.maximum(information, 1e-30)), 0.0)
+    return (np.asarray(top), np.asarray(information), seen) if seen.any() else None
 
 
 _FEWEST_FRAMES = 3

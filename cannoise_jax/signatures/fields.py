@@ -32,7 +32,9 @@ class Answers(NamedTuple):
     recordings. kept: by axis, what is left of what lines share in this recording [lines]. apart: by scaling,
     pixels that were no part of a map that was taken out. lines: by axis, the pixels that told of lines that
     were taken out and the variance of those of each beside its offset [lines]. finer: by how much less noise
-    there is than was known when the first of them was taken out, as a factor of its inverse [h, w].
+    there is than was known when the first of them was taken out, as a factor of its inverse [h, w]. steadied:
+    pixels whose own charge stays, but in whose contrasts its noise is known already. doubt: standard error of
+    the variance that the contrasts of a pixel are in units of, over it.
     """
 
     mixed: Mapping[str, Float[np.ndarray, "k k h w"]] = MappingProxyType({})
@@ -40,6 +42,8 @@ class Answers(NamedTuple):
     apart: Mapping[str, Bool[np.ndarray, "h w"]] = MappingProxyType({})
     lines: Mapping[str, tuple[Bool[np.ndarray, "h w"], Float[np.ndarray, "g"]]] = MappingProxyType({})
     finer: Float[np.ndarray, "h w"] | float = 1.0
+    steadied: Bool[np.ndarray, "h w"] | bool = False
+    doubt: Float[np.ndarray, "h w"] | float = 0.0
 
 
 class Fields(NamedTuple):

@@ -15,7 +15,7 @@ from cannoise_jax.recordings.recording import KINDS
 from cannoise_jax.signatures.added import as_map, draw_pixels, placed, posterior, strength
 from cannoise_jax.signatures.answers import less_map, response, shows, stays, told
 from cannoise_jax.signatures.behind_gain import behind_gain
-from cannoise_jax.signatures.charge_noise import by_medians, own_charge, steadied
+from cannoise_jax.signatures.charge_noise import by_medians, error_of_charge, own_charge, steadied
 from cannoise_jax.signatures.fields import Fields, channel_index, helmert, longest_exposure, quoted_at
 from cannoise_jax.signatures.group_sums import LineSums, Pixels, by_own_noise
 from cannoise_jax.signatures.handed import Addition, Found, Many, Predicted
@@ -229,7 +229,12 @@ def pixel_absorb(fields: tuple[Fields, ...], score: Score[float], *, scaling: st
     if steady is None:
         known &= ~apart
     rate = own_charge(steady or fields)
-    return left if rate is None else steadied(left, rate, known)
+    if rate is None:
+        return left
+    return tuple(
+        f._replace(answers=f.answers._replace(steadied=f.answers.steadied | (apart & known)))
+        for f in steadied(left, rate, known, error_of_charge(fields))
+    )
 
 
 def own_score(fields: tuple[Fields, ...]) -> Score | None:
@@ -317,9 +322,12 @@ def _within(own: Addition, found: Found, growing: Addition) -> Addition | None:
     if np.mean(beyond < -1) > _NONE_LEFT:
         if not _none_below(found.fields, rate * gains[0][channel_index(field.shape)]):
             return None
+        # What a tail adds to the mean of all pixels is charge as well.
+        more = max(1 + float(np.mean(beyond)), 1.0)
+        rate, variation = rate * more, variation / more
         beyond = _above_none(beyond, variation)
     maps = {**growing.maps, "pixels": as_map(beyond / variation)}
-    return growing._replace(values={**growing.values, "variation": variation}, maps=maps)
+    return growing._replace(values={**growing.values, "e_per_s": rate, "variation": variation}, maps=maps)
 
 
 def pixel(

@@ -51,17 +51,24 @@ _TRIED = np.arange(-5, 12.01, 0.25)
 that law, the noisiest need not be."""
 _OF_NO_LAW = 1e-3
 """Share of the pixels whose noise may be any of these."""
+_SURE_OF_DOUBT = 0.2
+"""Relative standard error of what doubt about charges adds to the scatter of the noise of pixels."""
 _LOUDEST = 12.0
 """Logarithm of the variance of the noisiest of those, over that of most."""
 
 
 def _known_dispersion(fields: tuple[Fields, ...]) -> tuple[float, float]:
-    """What the kurtosis of rounding and of Poisson noise adds to the variance of a pixel's sum of squares
-    over all darks, and its standard error."""
+    """What the kurtosis of rounding and of Poisson noise, and doubt about the charge of pixels, add to the
+    variance of a pixel's sum of squares over all darks, and its standard error."""
     chosen = darks(fields)
     weight = np.array([len(f.contrasts) ** 2 / (len(f.contrasts) + 1.0) for f in chosen])
     known = [float(np.mean(known_kurtosis(f)[0])) for f in chosen]
-    return float(weight @ known), float(np.linalg.norm(weight * [kurtosis_doubt(f) for f in chosen]))
+    usable = np.all([f.usable for f in chosen], axis=0)
+    doubt: np.ndarray | float = sum((len(f.contrasts) * np.asarray(f.answers.doubt) for f in chosen), 0.0)
+    of_charge = float(np.mean(np.broadcast_to(doubt, usable.shape)[usable] ** 2)) if usable.any() else 0.0
+    # As sure as the errors of charges are, which follow from the noise of the same frames.
+    of_kurtosis = float(np.linalg.norm(weight * [kurtosis_doubt(f) for f in chosen]))
+    return float(weight @ known) + of_charge, float(np.hypot(of_kurtosis, _SURE_OF_DOUBT * of_charge))
 
 
 def _dispersion_log_p(squares: np.ndarray, n: int, known: float, doubt: float) -> tuple[float, float]:

@@ -137,7 +137,7 @@ def sites_score(fields: tuple[Fields, ...], *, look: Look) -> Score[Sites] | Non
         z = mean[k] / np.sqrt(variance)
         log_p.append(student_log_p(z, freedom))
         errors.append(variance)
-        gain += 0.5 * z**2
+        gain += _gain(z, freedom)
     changes = _changes(told, weight, mean, cells, black)
     log_p += [p for p, _ in changes]
     gain += sum(g for _, g in changes)
@@ -172,8 +172,14 @@ def _changes(
             if not np.isfinite(variance) or variance <= 0 or freedom < 1:
                 continue
             z = (p.value[k] - mean[k]) / np.sqrt(variance)
-            out.append((float(student_log_p(z, freedom)), 0.5 * z**2))
+            out.append((float(student_log_p(z, freedom)), _gain(z, freedom)))
     return out
+
+
+def _gain(z: float, freedom: float) -> float:
+    """Nats of a value whose variance the scatter of a few bands tells, over none: the likelihood ratio of
+    Student's law."""
+    return float(0.5 * (freedom + 1) * np.log1p(z**2 / freedom))
 
 
 def apart(recorded: Recorded, *, name: str, covers: tuple[str, ...]) -> tuple[Signature, ...]:
