@@ -312,7 +312,8 @@ def doubt(
     if not against:
         return None
     worst = max(against, key=lambda f: f.after)
-    return Doubt(share, tuple(lines_of(full, worst.left)[:3]), instead=True)
+    said = f"a simulator with it differs as much in {', '.join(lines_of(full, worst.left)[:3])}"
+    return Doubt(share, (said,), instead=True)
 
 
 def _spread(step: Step, whole: Compared, each: list[Borne]) -> Doubt | None:

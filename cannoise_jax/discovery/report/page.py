@@ -28,6 +28,8 @@ from cannoise_jax.vocabulary import Term
 
 _ABBREVIATIONS = frozenset(["DSNU", "PRNU", "FPN", "RTS"])
 """Parts of names that are read letter by letter."""
+_NOTHING_LEFT = 1e-3
+"""Share of the mismatch, in nats, below which what is left of it is not what still tells the draws apart."""
 _MEASURES = (
     ("two_sample_auc", "a small network tells recordings from draws, area under the curve (0.5: it cannot)"),
     ("two_sample_auc_ci90", "its 90 % interval, frames resampled"),
@@ -142,11 +144,30 @@ def _largest(report: dict[str, Any]) -> str:
     remains = report.get("remains")
     if not remains or not remains["after"]:
         return ""
+    if remains["left"] is not None and remains["left"] < _NOTHING_LEFT:
+        return _told_apart(report)
     most = remains["after"][0]
     recorded, simulated = sizes(most)
     both = f"{recorded} {most['unit']} recorded, {simulated} {most['unit']} simulated"
     has = f"of which the simulator has {most['simulator_has']} ({both})"
     return f" What still differs most: {most['what']}, {has}."
+
+
+def nearer_with_rest(report: dict[str, Any]) -> bool:
+    """Whether a remainder that is left out makes the draws surely nearer by composite score and area."""
+    gate = report.get("gate") or {"tried": (), "remainder": False}
+    tried = [t for t in gate["tried"] if t["what"].startswith("remainder") and not t["entered"]]
+    both = [(t["score_nats_per_pixel"], t["area_distance_change"]) for t in tried]
+    return not gate["remainder"] and any(s and a and s["ci90"][0] > 0 > a["ci90"][1] for s, a in both)
+
+
+def _told_apart(report: dict[str, Any]) -> str:
+    """That a network alone tells the recordings from draws, as a sentence; nothing where it does not."""
+    after = report.get("after") or {}
+    area, interval = after.get("two_sample_auc"), after.get("two_sample_auc_ci90")
+    if area is None or not interval or not interval[0] > 0.5:
+        return ""
+    return f" What still differs is seen by the two-sample test alone: an area of {area:.3f}."
 
 
 def sizes(difference: dict[str, Any]) -> tuple[str, str]:
@@ -247,6 +268,7 @@ def page(diagnosis: Result, report: dict[str, Any]) -> str:
         camera="Recordings" if diagnosis.capture.camera == Recording.camera else diagnosis.capture.camera,
         r=report,
         verdict=verdict(report),
+        nearer_with_rest=nearer_with_rest(report),
         rows=rows(report, size),
         percent=percent,
         sites=sites,
