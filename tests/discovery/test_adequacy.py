@@ -212,6 +212,15 @@ def test_a_name_in_the_shadow_of_something_unknown_is_none():
     assert shadowed([nothing], unknown, of_its_own=False) is not None
 
 
+def test_what_a_recording_shows_that_the_unknown_hardly_moves_is_no_trace_of_it():
+    """Offsets of columns in a bias, beside a glow without a name that long darks show."""
+    biased, shaded = borne([80, 60, 3], [4, 5, 2], "bias"), borne([30, 9, 3], [14, 5, 2], "long")
+    glow = [borne([5000, 4000, 3], [10, 10, 2], "long"), borne([9, 5, 3], [4, 5, 2], "bias")]
+    unknown, larger = most_of([glow]), most_at([glow])
+    assert shadowed([biased, shaded], unknown, of_its_own=False, larger=larger) is None
+    assert shadowed([shaded], unknown, of_its_own=False, larger=larger) is not None
+
+
 def found(gain, reads, frozen=True):
     signature = SimpleNamespace(reads=reads, frozen=frozen)
     return SimpleNamespace(named=SimpleNamespace(score=SimpleNamespace(gain=gain), signature=signature))

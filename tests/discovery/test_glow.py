@@ -69,6 +69,17 @@ def test_strength_covers_the_truth_on_frames_that_looked_and_on_others(place, re
         assert 0.75 < np.mean(np.abs(errors) < 1.645) < 0.99
 
 
+def test_what_other_frames_know_of_a_glow_is_theirs():
+    """Not what those that found it knew, which of more frames is more."""
+    rng = np.random.default_rng(7)
+    signal = 40 * fall((0, 1), 0.2)
+    score = glow_score(darks(rng, signal, 12))
+    other = glow_again(score, darks(rng, signal, 3))
+    assert score.payload.formed
+    assert other.shift == pytest.approx(2 * score.shift, rel=0.2)
+    assert other.amplitude == pytest.approx(score.amplitude, abs=4 * other.error)
+
+
 def test_glow_of_uncertain_reach_leaves_no_level_for_a_dark_current():
     rng = np.random.default_rng(2)
     signal = 0.08 * fall((1, 0), 0.27)

@@ -128,7 +128,52 @@ def test_the_noise_of_a_glow_stays_known_where_pixels_have_charge_of_their_own()
         exposure_s=seconds,
         contrasts=values.astype(np.float32),
     )
-    (after,) = steadied((field,), rate, np.ones(SIZE, bool))
+    (after,) = steadied((field,), rate, np.ones(SIZE, bool), np.zeros(SIZE))
     power, near = np.mean(after.contrasts**2, 0), glow > 100
     assert power[near].mean() == pytest.approx(1.0, abs=0.05)
     assert power[~near].mean() == pytest.approx(1.0, abs=0.05)
+
+
+def long_tailed(seed):
+    """Log-normal currents of which a twentieth of the pixels has most of the variance."""
+    return 0.08 * np.exp(1.1 * _RNG(seed).standard_normal(SIZE))
+
+
+def without_map(capture):
+    """The fields with the map of what pixels collect taken out, which is all that differs."""
+    prepared = prepare(capture, all_frames(split_recordings(capture)), False)
+    thermal = next(s for s in prepared.signatures if s.name == "pixel_thermal_static")
+    found = thermal.score(prepared.fields)
+    return thermal.absorb(prepared.fields, found)
+
+
+def test_pixels_far_out_of_a_map_have_the_noise_of_their_charge_too():
+    """Variance of the longest dark over what it is taken to be, from the darkest pixels to the hottest. Noise
+    of none of their own had the hottest 24 times too loud, and all others a fifth of what they were."""
+    heat = long_tailed(30)
+    fields = without_map(camera(31, heat))
+    dark = max((f for f in fields if f.kind == "dark"), key=lambda f: f.exposure_s)
+    assert dark.answers.apart["exposure"].mean() > 5e-4
+    power = np.mean(dark.contrasts**2, 0).ravel()
+    order = np.argsort(heat.ravel())
+    parts = [*np.array_split(order, 5), order[-120:]]
+    assert [power[p].mean() for p in parts] == pytest.approx([1.0] * 6, abs=0.12)
+    assert not np.any(own_charge(fields)[dark.answers.apart["exposure"]])  # not counted a second time
+
+
+def test_doubt_about_charge_is_no_spread_of_the_read_noise():
+    for seed in range(2):
+        fields = without_map(camera(40 + seed, long_tailed(50 + seed)))
+        assert np.exp(spread_score(fields).log_p) > 1e-3
+
+
+def test_one_hit_is_no_charge_of_a_pixel():
+    capture = camera(32, long_tailed(33))
+    long = capture.recordings[2]
+    frames = np.array(long.frames)
+    hit = _RNG(34).permutation(np.arange(frames[0].size))[:40]
+    frames[3].ravel()[hit] += 6000
+    moved = (*capture.recordings[:2], replace(long, frames=frames), *capture.recordings[3:])
+    fields = without_map(CaptureSet("camera", moved))
+    dark = max((f for f in fields if f.kind == "dark"), key=lambda f: f.exposure_s)
+    assert np.median(np.max(np.abs(dark.contrasts), 0).ravel()[hit]) > 20
