@@ -131,7 +131,7 @@ def _weight(field: Fields) -> Float[np.ndarray, "h w"]:
 
 def longest_exposure(fields: Sequence[Fields]) -> float:
     """Of the recordings, s; one that states none counts as zero."""
-    return max(f.exposure_s or 0.0 for f in fields)
+    return max((f.exposure_s or 0.0 for f in fields), default=0.0)
 
 
 def quoted_at(fields: Sequence[Fields], scaling: str) -> float:

@@ -181,6 +181,26 @@ def pixel_score(fields: tuple[Fields, ...], *, scaling: str) -> Score[float] | N
     )
 
 
+_TAIL = 1.15
+"""Standard deviation of all pixels over that of most, from which on those far out are worth a word."""
+
+
+def spread_of_all(fields: tuple[Fields, ...], scaling: str, sigma: float) -> tuple[float, float] | None:
+    """Standard deviation of a map with the pixels that are no part of its law, in the unit of `sigma`, which
+    is that of the others, and its standard error; None where it is no larger."""
+    sums = pixel_sums(fields, scaling, KINDS)
+    if sums is None or not (seen := sums.information > 0).any():
+        return None
+    values = sums.score[seen] / sums.information[seen]
+    squares = (values - values.mean()) ** 2
+    variance = float(np.mean(squares) - np.mean(1 / sums.information[seen]))
+    rms = float(np.sqrt(max(variance, 0.0))) * quoted_at(fields, scaling)
+    if not rms > _TAIL * sigma > 0:
+        return None
+    error = float(np.std(squares)) / np.sqrt(squares.size) / (2 * variance) * rms
+    return rms, error
+
+
 def scale_variance(fields: tuple[Fields, ...], scaling: str, kinds: tuple[str, ...]) -> float:
     """Variance of the log of the noise variance under a pooled static map: each field's comes from contrasts,
     whose squares, like those of the map itself, scatter by more where the noise has tails (noise far below a

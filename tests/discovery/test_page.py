@@ -11,7 +11,7 @@ import pytest
 
 from cannoise_jax.discovery.compare.words import digits, ends
 from cannoise_jax.discovery.proof.prove import Proof
-from cannoise_jax.discovery.report.page import gain_interval, number, place, sites, verdict
+from cannoise_jax.discovery.report.page import gain_interval, nearer_with_rest, number, place, sites, verdict
 from cannoise_jax.discovery.report.pictures import where_pictures
 from cannoise_jax.discovery.report.wording import sentence
 from cannoise_jax.discovery.search.name import Doubt
@@ -64,7 +64,9 @@ def finding(mechanism, value, spread, outcome="FOUND", **more):
 
 def said_of(entry, proof, axes=ROWS, doubt=None):
     signature = SimpleNamespace(axes=axes, says=None, kind=None, frozen=axes.time == "frozen")
-    step = SimpleNamespace(named=SimpleNamespace(signature=signature, doubt=doubt), late=False)
+    named = SimpleNamespace(signature=signature, doubt=doubt)
+    darks = (SimpleNamespace(exposure_s=0.01), SimpleNamespace(exposure_s=60.0))
+    step = SimpleNamespace(named=named, late=False, before=darks)
     return sentence(entry, step, proof, VOCABULARY[entry["mechanism"]])
 
 
@@ -108,7 +110,9 @@ def test_a_structure_without_a_name_is_described_in_words():
 
 def test_growth_with_the_exposure_is_said_once():
     axes, proof = Axes("pixel", "pixel", "frozen", "exposure", "sparse"), Proof(None, 9.0, 1.0, 20.0, 99)
-    assert "(growing with the exposure)" in said_of(finding("hot_pixels", 2.0, 0.1), proof, axes)
+    assert "(growing with the exposure): 2 DN rms at 60 s" in said_of(
+        finding("hot_pixels", 2.0, 0.1), proof, axes
+    )
     assert "(growing" not in said_of(finding("hot_pixels", 2.0, 0.1), proof)
     said = said_of(finding("dark_current", 2.0, 0.1), proof, axes)
     assert said.count("exposure") == 1 and "(growing" not in said
@@ -153,11 +157,40 @@ def test_page_counts_names_and_tells_what_is_not_confirmed():
 
 def test_the_first_sentence_says_what_differs_most_and_which_way():
     line = {"what": "rows", "simulator_has": "too much", "recorded": 0.1, "simulated": 1.0, "unit": "DN rms"}
-    report = {"verdict": "differs, no cause found", "findings": [], "remains": {"after": [line]}}
+    report = {"verdict": "differs, no cause found", "findings": [], "remains": {"after": [line], "left": 0.3}}
     assert verdict(report) == (
         "Differs, and no cause was found. What still differs most: rows, of which the simulator has too much "
         "(0.1 DN rms recorded, 1 DN rms simulated)."
     )
+
+
+def test_what_is_next_to_nothing_is_not_said_to_differ_most():
+    line = {"what": "rows", "simulator_has": "too much", "recorded": 0.1, "simulated": 1.0, "unit": "DN rms"}
+    report = {
+        "verdict": "differs, no cause found",
+        "findings": [],
+        "remains": {"after": [line], "left": 5e-7},
+    }
+    assert verdict(report) == "Differs, and no cause was found."
+    report["after"] = {"two_sample_auc": 0.544, "two_sample_auc_ci90": [0.53, 0.56]}
+    assert verdict(report).endswith(
+        "What still differs is seen by the two-sample test alone: an area of 0.544."
+    )
+
+
+def test_a_remainder_that_comes_nearer_and_is_left_out_is_told_from_one_that_does_not_help():
+    tried = {"what": "remainder", "entered": False, "area_distance_change": {"ci90": [-0.13, -0.09]}}
+    helps = tried | {"score_nats_per_pixel": {"ci90": [1e-4, 3e-4]}}
+    costs = tried | {"score_nats_per_pixel": {"ci90": [-3e-4, -1e-4]}}
+    for one, nearer in ((helps, True), (costs, False), (helps | {"entered": True}, False)):
+        assert nearer_with_rest({"gate": {"tried": [one], "remainder": one["entered"]}}) is nearer
+
+
+def test_a_map_with_pixels_far_out_says_how_wide_it_is_with_them():
+    entry = finding("dsnu", 39.9, 0.1)
+    entry["parameters"] = {"sigma_of_all": {"value": 73.02, "unit": "DN", "ci90": [70.0, 75.0]}}
+    said = said_of(entry, Proof(None, 9.0, 1.0, 20.0, 99))
+    assert "73 DN rms with the pixels that are far out of it" in said
 
 
 def test_places_are_short_and_a_slope_is_at_no_one_frequency():

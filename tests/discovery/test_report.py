@@ -339,7 +339,7 @@ def said_of_a_map(scales, proof):
         "amplitude": {"value": 2.0, "unit": "DN", "ci90": [1.9, 2.1]},
     }
     named = SimpleNamespace(signature=SIGNATURES[f"pixel_{scales}_static"])
-    return sentence(entry, SimpleNamespace(named=named, late=False), proof, VOCABULARY["dsnu"])
+    return sentence(entry, SimpleNamespace(named=named, late=False, before=()), proof, VOCABULARY["dsnu"])
 
 
 def test_a_pattern_of_the_dark_current_is_told_from_one_of_offsets():

@@ -279,6 +279,7 @@ def finding(diagnosis: Result, step: Step, proof: Proof) -> dict[str, Any]:
     for part in (steps[n].named.score for n in moved):
         own = {"value": part.amplitude, "unit": "DN", "ci90": list(part.interval90)}
         out["parameters"]["frame_offset"] = own
+    out["parameters"].update(outcome.of_all_pixels(step, score.amplitude, unit))
     if mechanism == UNKNOWN:
         out["card"] = card(step, diagnosis.first.signatures, frozenset(diagnosis.ids), steps)
     out["sentence"] = sentence(out, step, proof, term)

@@ -18,14 +18,17 @@ from cannoise_jax.discovery.report.not_found import asked_of_a_curve
 from cannoise_jax.discovery.result import Result
 from cannoise_jax.discovery.search.model import adds
 from cannoise_jax.discovery.search.name import UNKNOWN
+from cannoise_jax.discovery.search.steps import Step
 from cannoise_jax.mechanisms.pedestal import LEVELS, PEDESTAL
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.physics.core.sensor_draws import closed_moments
 from cannoise_jax.physics.core.settings import Settings, black_levels
+from cannoise_jax.physics.transfer.estimate import Z90
 from cannoise_jax.physics.transfer.faults import Faults
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.curve import VARIANCE_CURVE
+from cannoise_jax.signatures.patterns import spread_of_all
 
 _KNOWN = 0.5
 """Relative error of a read noise that only flats tell, up to which it counts as measured."""
@@ -257,3 +260,15 @@ def remains(diagnosis: Result) -> dict[str, Any] | None:
         if nearer is None
         else {"value": nearer.gain, "ci90": [nearer.low, nearer.high], "contrasts": nearer.units},
     }
+
+
+def of_all_pixels(step: Step, sigma: float, unit: str) -> dict[str, Any]:
+    """Of a map of pixels, `sigma_of_all`: its standard deviation with the pixels that are no part of its law,
+    where that is larger. sigma: that of the others."""
+    of = step.named.signature.map_of
+    wide = spread_of_all(step.before, of[1], sigma) if of and of[0] == "pixel" else None
+    if wide is None:
+        return {}
+    value, error = wide
+    ends = [max(value - Z90 * error, 0.0), value + Z90 * error]
+    return {"sigma_of_all": {"value": value, "unit": unit, "ci90": ends}}

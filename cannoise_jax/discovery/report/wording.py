@@ -12,6 +12,7 @@ from cannoise_jax.discovery.report.card import said_against
 from cannoise_jax.discovery.search.name import UNKNOWN
 from cannoise_jax.discovery.search.steps import Step
 from cannoise_jax.physics.core.places import place
+from cannoise_jax.signatures.fields import longest_exposure
 from cannoise_jax.signatures.signature import Axes
 from cannoise_jax.vocabulary import Term
 
@@ -63,6 +64,8 @@ def sentence(entry: dict[str, Any], step: Step, proof: Proof, term: Term) -> str
     unnamed = entry["outcome"] == "UNKNOWN_STRUCTURE"
     meaning = "" if unnamed else term.amplitude
     size = _sized(entry["amplitude"]["value"], unit, meaning)
+    seconds = longest_exposure(step.before) if step.named.signature.axes.scales == "exposure" else 0.0
+    size += f" at {short(seconds)} s" if unit == "DN" and seconds else ""
     after = ""
     if unnamed:
         axes, in_words = step.named.signature.axes, step.named.signature.kind
@@ -93,6 +96,9 @@ def sentence(entry: dict[str, Any], step: Step, proof: Proof, term: Term) -> str
     start += f", shared by {count} rows that are read together" if count else ""
     moved = entry.get("parameters", {}).get("frame_offset")
     slow = f", and slower than a frame, whose mean moves by {short(moved['value'])} DN" if moved else ""
+    wide = entry.get("parameters", {}).get("sigma_of_all")
+    if wide:
+        slow += f", {_sized(wide['value'], wide['unit'], meaning)} with the pixels that are far out of it"
     within = f" (90 %: {amount((low, high), unit, meaning)})" if is_wide(low, high) else ""
     return f"{start}{within}{after}{slow}{_proven(step, proof)}"
 
