@@ -134,6 +134,7 @@ def test_a_trial_goes_on_where_it_was_cut_off(tmp_path, monkeypatch):
             plain_trial(out, (5,), ("null",), lambda done, of: None)
 
 
+@pytest.mark.slow
 def test_one_of_each_kind_at_small_size():
     rows, pairs, nothing = (
         plain.said(kind, name, 4, (64, 96), compare=False)

@@ -177,6 +177,7 @@ def test_too_few_frames_are_said_where_flats_and_darks_are_there(recordings, tmp
     assert "three frames or more" in error and not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_generators_start_from_a_sensor_model_and_are_kept(recordings, tmp_path, monkeypatch, capsys):
     small_networks = run_path(str(Path(__file__).resolve().parents[2] / "configs" / "ci.py"))["get_config"]
     monkeypatch.setattr("cannoise_jax.commands.train.default_config", small_networks)

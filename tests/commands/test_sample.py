@@ -125,7 +125,10 @@ def test_a_dark_reference_without_stated_noise_is_refused(model, tmp_path, capsy
     assert "no shot noise" in capsys.readouterr().err and not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("size", [(2, 2), pytest.param((10, 14), marks=pytest.mark.slow), (22, 64)])
+@pytest.mark.parametrize(
+    "size",
+    [(2, 2), pytest.param((10, 14), marks=pytest.mark.slow), pytest.param((22, 64), marks=pytest.mark.slow)],
+)
 def test_a_reference_may_be_of_any_size(model, tmp_path, size):
     frames = np.random.default_rng(0).normal(BLACK + 200, 8, (2, *size)).astype(np.uint16)
     np.save(tmp_path / "ref.npy", frames)

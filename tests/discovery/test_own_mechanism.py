@@ -216,7 +216,9 @@ def planted(which, sigma):
             "1",
             marks=pytest.mark.slow,
         ),
-        (leaks, 20.0, Point("readout", "signal", "column", "frozen"), "DN/s"),
+        pytest.param(
+            leaks, 20.0, Point("readout", "signal", "column", "frozen"), "DN/s", marks=pytest.mark.slow
+        ),
         (crossed, 2.0, Point("readout", "signal", "antidiagonal", "redrawn"), "DN"),
     ],
 )
@@ -229,6 +231,7 @@ def test_it_has_its_name_where_the_package_looks_for_what_has_none(sample, sigma
     assert found.fitted.steps[0].named.score.amplitude == pytest.approx(sigma, rel=0.25)
 
 
+@pytest.mark.slow
 def test_its_strength_does_not_hang_on_its_name():
     """With which its template is drawn: of one number a frame few draws tell the power."""
     capture = capture_set(84, planted(quarter, 0.02), kinds="f", frames=16, size=SMALL)
@@ -276,7 +279,7 @@ def test_one_of_the_capture_is_found_and_is_not_in_the_camera_model():
 
 @pytest.mark.parametrize(
     "over",
-    [pytest.param(s, marks=() if s in ("row", "block") else pytest.mark.slow) for s in SITES],
+    [pytest.param(s, marks=() if s == "row" else pytest.mark.slow) for s in SITES],
 )
 def test_it_is_reported_where_it_varies(over):
     record = mechanism_from_grammar(Point("readout", "signal", over, "redrawn"), id="own", default=1.0)

@@ -27,6 +27,7 @@ def continued(sigma, drift=0.0):
     return alter
 
 
+@pytest.mark.slow
 def test_means_of_frames_that_move_with_slow_noise_are_part_of_it():
     diagnosis = diagnose(capture_set(22, continued(0.6)), compare=False)
     report = document(diagnosis, key=0, version="0")

@@ -74,6 +74,7 @@ def test_without_learning_the_model_is_the_estimate(request_):
     assert sum(rows[n]["pg"].patches for n in rows if n != "all") == request_.bench.size
 
 
+@pytest.mark.slow
 def test_wrong_references_cost_and_latents_are_of_every_patch(request_):
     outcome = encoder_suite(request_)
     which, many, latents = (table["rows"] for table in outcome.tables)

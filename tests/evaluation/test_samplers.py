@@ -39,7 +39,7 @@ def test_every_image_is_encoded_once_and_goes_where_it_is_asked_for():
     ("way", "references"),
     [
         ("usual", 3),
-        ("given", 1),
+        pytest.param("given", 1, marks=pytest.mark.slow),
         pytest.param("usual", 1, marks=pytest.mark.slow),
         pytest.param("given", 3, marks=pytest.mark.slow),
     ],

@@ -142,6 +142,7 @@ def test_pixels_of_larger_gaussian_noise_do_not_jump_and_leave_the_gain():
     assert abs(gain.value - 0.5) < 3 * gain.stderr and gain.stderr < 0.004
 
 
+@pytest.mark.slow
 def test_pixels_that_jump_to_one_side_are_no_particle_hits():
     """1.5 % of pixels 25 DN up in a quarter of the frames."""
     jumping = np.random.default_rng(7).random((80, 96)) < 0.015

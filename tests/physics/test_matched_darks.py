@@ -43,7 +43,7 @@ def series(times, rate, bias=False, zero=False, frames=4):
     ("times", "rate", "more"),
     [
         pytest.param((0.03, 0.06, 0.09), 500.0, {}, marks=pytest.mark.slow),
-        (tuple(0.015 * n for n in range(1, 9)), 60.0, {"frames": 2}),
+        pytest.param(tuple(0.015 * n for n in range(1, 9)), 60.0, {"frames": 2}, marks=pytest.mark.slow),
         pytest.param((0.02, 0.05, 0.1), 400.0, {"bias": True}, marks=pytest.mark.slow),
         ((0.05, 0.1, 0.2), 300.0, {"zero": True}),
     ],

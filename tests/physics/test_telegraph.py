@@ -68,6 +68,7 @@ def test_the_mean_of_frames_keeps_what_lasts():
     assert lasting(12, 0.15) == pytest.approx(np.mean(np.cumprod(turns, 0).mean(0) ** 2), rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_calibrated_unit_is_as_loud_and_as_uneven_at_its_telegraph_pixels_as_recorded():
     """Traps that are full in a sixth of the frames, of jumps between 20 and 60 DN, in pixels with offsets."""
     rng, size = np.random.default_rng(8), (80, 128)

@@ -131,6 +131,7 @@ def test_hot_pixels_are_no_telegraph_pixels_nor_noisy_ones(gain, read, heat):
     assert maps.pixel_read_noise_map([s], base)["spread"].value < 0.08
 
 
+@pytest.mark.slow
 def test_telegraph_pixels_are_found_beside_hot_ones():
     rng = np.random.default_rng(11)
     hot = np.where(rng.random(SIZE) < 0.01, rng.exponential(300, SIZE), 0)

@@ -92,7 +92,7 @@ def test_a_skewness_that_the_lower_half_tells_too_little_of_makes_no_hot_pixels(
 @pytest.mark.parametrize(
     ("law", "variation", "offsets"),
     [
-        ("gamma", 0.7, 0.3),
+        pytest.param("gamma", 0.7, 0.3, marks=pytest.mark.slow),
         pytest.param("log-normal", 0.5, 0.3, marks=pytest.mark.slow),
         ("log-normal", 0.6, 0.8),
     ],

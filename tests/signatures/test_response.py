@@ -109,7 +109,9 @@ def test_a_lamp_bears_out_a_variance_that_bends_by_itself_by_chance_alone():
     assert sum(s.gain > 0 for s in scores) <= stats.binom.ppf(0.999, 80, 0.1)
 
 
-@pytest.mark.parametrize("order", [1.0, pytest.param(2.0, marks=pytest.mark.slow), 3.0])
+@pytest.mark.parametrize(
+    "order", [pytest.param(1.0, marks=pytest.mark.slow), pytest.param(2.0, marks=pytest.mark.slow), 3.0]
+)
 def test_a_variance_that_bends_by_itself_is_no_curve_of_any_order(order):
     """The order is that of the variance, where it tells one: the means are asked once, with one chance in
     twenty. Here it does."""

@@ -60,6 +60,7 @@ def test_frames_of_one_temperature_are_not_warm_by_their_offsets():
     assert "offset_drift" in found.findings and "temperature_drift" not in found.findings
 
 
+@pytest.mark.slow
 def test_nothing_else_is_found_of_a_sensor_that_warms_up():
     found = diagnose(captured(33, ramp(0.4)), compare=False)
     assert set(found.findings) <= {"temperature_drift", "dsnu", "dark_current", "hot_pixels"}
