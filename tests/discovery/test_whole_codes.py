@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from cannoise_jax.discovery.compare.families import CODES, STATIC, STRUCTURE, of
 from cannoise_jax.discovery.frames.battery import prepare
 from cannoise_jax.discovery.frames.splits import all_frames, split_recordings
-from cannoise_jax.discovery.proof.whole_codes import in_few_lines
+from cannoise_jax.discovery.proof.own_part import Borne
+from cannoise_jax.discovery.proof.whole_codes import codes_to_converters, in_few_lines
 from cannoise_jax.discovery.search.name import Named
 from cannoise_jax.discovery.search.steps import Step
 from tests.discovery.capture import SIZE, capture_set
@@ -58,3 +62,18 @@ def test_a_comb_of_few_lines_is_told_from_one_of_the_frame(alter, few):
     assert (found is None) == (few is None)
     if found is not None:
         assert few in found.against[0] and found.left > 0.9
+
+
+def test_how_codes_are_filled_speaks_of_converters_alone_where_one_moves_it():
+    """A step between amplifiers moves every level by part of a code, and with it which codes are filled."""
+
+    def borne(change, family=of("", CODES)):
+        before = np.array([change, 0.0])
+        judged = SimpleNamespace(family=family, where="flat", z=np.zeros(2), passing=4.0)
+        return Borne(judged, before, np.zeros(2), np.array([True, False]), np.zeros(2, bool), np.ones(2))
+
+    each = {0: [borne(900.0)], 1: [borne(60.0), borne(40.0, of(STATIC, STRUCTURE))]}
+    told = codes_to_converters(each, {0})
+    assert told[0][0].own.any() and not told[1][0].own.any() and told[1][1].own.any()
+    assert codes_to_converters(each, set())[1][0].own.any()
+    assert codes_to_converters({0: [borne(20.0)], 1: [borne(60.0)]}, {0})[1][0].own.any()

@@ -59,7 +59,7 @@ from cannoise_jax.discovery.proof.shadow import (
 from cannoise_jax.discovery.proof.shared_noise import shared, shared_lines, shared_map
 from cannoise_jax.discovery.proof.single_waves import one_of_many
 from cannoise_jax.discovery.proof.white_maps import gathered, noisy_again, patterned, ranged
-from cannoise_jax.discovery.proof.whole_codes import in_few_lines
+from cannoise_jax.discovery.proof.whole_codes import codes_to_converters, in_few_lines
 from cannoise_jax.discovery.proof.whole_lines import in_parts
 from cannoise_jax.discovery.proof.whole_scans import in_places
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
@@ -173,7 +173,8 @@ def doubts(
 
     borne = {n: found for n in named if (found := bears(n)) is not None}
     most = most_of([each for _, each, _ in borne.values()])
-    owned_by = {n: owned(each, most) for n, (_, each, _) in borne.items()}
+    converters = {n for n in borne if steps[n].named.signature.axes.enters == "converter"}
+    owned_by = codes_to_converters({n: owned(each, most) for n, (_, each, _) in borne.items()}, converters)
     largest = most_at(owned_by.values())
     mine = {n: at_home(each, largest) for n, each in owned_by.items()}
     for n, (one, each, claimed) in borne.items():

@@ -7,12 +7,14 @@ typical column, has next to nothing of it, a few have it alone.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
+from cannoise_jax.discovery.compare.families import CODES, of
+from cannoise_jax.discovery.proof.own_part import Borne
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
 from cannoise_jax.discovery.search.steps import Step
 from cannoise_jax.physics.robust import median
@@ -49,6 +51,28 @@ def in_few_lines(step: Step, capture: CaptureSet, chosen: Sequence[Sequence[int]
         said = f"{few} of {int(seen.sum())} {lines} have these codes alone, the others have none of it"
         return Doubt(1 - max(typical, 0.0) / abs(whole), (said,), instead=True)
     return None
+
+
+def codes_to_converters(
+    each: Mapping[int, list[Borne]], converters: Collection[int]
+) -> dict[int, list[Borne]]:
+    """What mechanisms bear on, by number, but for how codes are filled where one of the converter moves that
+    by more: any offset moves it too, and says nothing of where codes lie. converters: numbers of those."""
+    moved: dict[str, float] = {}
+    for n in converters:
+        for b in each.get(n, ()):
+            if b.judged.family == of("", CODES):
+                moved[b.judged.where] = max(moved.get(b.judged.where, 0.0), float(b.change.sum()))
+
+    def kept(b: Borne) -> bool:
+        return b.judged.family != of("", CODES) or float(b.change.sum()) >= moved.get(b.judged.where, 0.0)
+
+    return {
+        n: list(borne)
+        if n in converters
+        else [b if kept(b) else b._replace(own=b.own & False) for b in borne]
+        for n, borne in each.items()
+    }
 
 
 def _more(
