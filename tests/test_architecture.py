@@ -207,7 +207,6 @@ def test_every_name_is_used_by_the_package_itself():
 
 
 WHOLE = {
-    "Axes": "dataclasses.asdict(signature.axes)",
     "_Look": "stacked, field, unit, mean, extra, usable = look",
     "Curves": 'getattr(curves, f"{name}_spectrum")',
     "Effect": "getattr(effect, name)",

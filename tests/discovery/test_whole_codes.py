@@ -67,7 +67,9 @@ def test_a_comb_of_few_lines_is_told_from_one_of_the_frame(alter, few):
 def test_how_codes_are_filled_speaks_of_converters_alone_where_one_moves_it():
     """A step between amplifiers moves every level by part of a code, and with it which codes are filled."""
 
-    def borne(change, family=of("", CODES)):
+    codes = of("", CODES)
+
+    def borne(change, family=codes):
         before = np.array([change, 0.0])
         judged = SimpleNamespace(family=family, where="flat", z=np.zeros(2), passing=4.0)
         return Borne(judged, before, np.zeros(2), np.array([True, False]), np.zeros(2, bool), np.ones(2))

@@ -144,11 +144,11 @@ def jackknife_interval(
     g = gains.size
     half = float(stats.t.isf(0.05, g - 1) * np.sqrt((g - 1) / g * np.sum((gains - gains.mean()) ** 2)))
     low = gain - half
-    if (signature.redraws_frames or banded) and g > 2:
+    if g > 2 and (banded or signature.redraws_frames or signature.axes.time == "redrawn"):
         # Of a few frames that lie far apart, or a pattern that most of the frame has little of, the scatter
         # of what each gains says nothing, but that any one can be left out does; and a likelihood ratio
         # exceeds 20 with a chance of 1/20 where there is nothing. A statistic of areas is no such ratio.
-        least = float(gains.min()) - (_SURE_NATS if banded else float(np.log(20)))
+        least = float(gains.min()) - (float(np.log(20)) if signature.redraws_frames else _SURE_NATS)
         # Parts that all gain more than the whole, as much as they know, bound nothing.
         low = max(low, least) if least <= gain else low
     return low, gain + half
