@@ -99,12 +99,15 @@ Look = Callable[[Fields], Parted | None]
 
 def looking_at(flats: Sequence[Fields]) -> Look:
     """`_parted` of the light of these flats as they were recorded, whatever was taken out of them since, by
-    the pixels that are usable now."""
-    light = {f.number: _light(f) for f in flats if f.static is not None}
+    the pixels that are usable now; of other flats, as draws of a simulator, of what is left of them."""
+    recorded = {f.number: (f.mean, _light(f)) for f in flats if f.static is not None}
 
-    @remembered("usable")
+    @remembered("usable", "mean")
     def look(f: Fields) -> Parted | None:
-        return _parted(f, light[f.number]) if f.number in light else None
+        if f.kind != "flat" or f.static is None:
+            return None
+        mean, light = recorded.get(f.number, (None, None))
+        return _parted(f, light if light is not None and mean is f.mean else _light(f))
 
     return look
 
@@ -211,7 +214,7 @@ def apart(recorded: Recorded, *, name: str, covers: tuple[str, ...]) -> tuple[Si
         Signature(
             name=name,
             axes=Axes("photons", "channel", "frozen", "signal", "contrast"),
-            reads=frozenset({"usable", "sigma"}),
+            reads=frozenset({"usable", "mean"}),
             score=partial(sites_score, look=look),
             absorb=unchanged,
             covers=covers,

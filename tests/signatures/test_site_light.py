@@ -68,3 +68,11 @@ def test_a_gain_that_parts_at_bright_light_alone_is_told_by_level_and_not_simula
 
 def test_a_sensor_with_colours_has_other_light_at_every_site():
     assert looked_at(camera(3, cfa="RGGB"))[0] is None
+
+
+def test_frames_of_another_source_are_seen_as_they_are():
+    """As draws of a simulator that has the difference, or has it not."""
+    signature, fields = looked_at(camera(4))
+    other, others = looked_at(camera(5, parted=lambda level: 0.002))
+    assert signature.score(others).amplitude == pytest.approx(0.002, rel=0.15)
+    assert other.score(fields).amplitude < 0.0005
