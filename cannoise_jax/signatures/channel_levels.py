@@ -30,7 +30,7 @@ _CONTRASTS = np.array([[1, 1, -1, -1], [1, -1, 1, -1], [1, -1, -1, 1]])
 other."""
 
 
-def _parted_errors(dark: Fields) -> Float[np.ndarray, "3"]:
+def parted_errors(dark: Fields) -> Float[np.ndarray, "3"]:
     """Standard errors of a quarter of each contrast between the sites of a dark, DN, by what its rows, its
     columns and the halves of either scatter by: patterns of lines part sites by more than pixels do."""
     static = np.asarray(dark.static, np.float64)
@@ -64,7 +64,7 @@ def _contrast_errors(
         return np.full(3, least), 1e9
     shortest = min(darks, key=lambda f: (f.exposure_s or 0.0, -f.frames))
     drawn_too = np.sqrt(2.0) if recorded.fitted_too else 1.0
-    return np.maximum(drawn_too * _parted_errors(native(shortest)), least), min(shortest.mean.shape) - 2.0
+    return np.maximum(drawn_too * parted_errors(native(shortest)), least), min(shortest.mean.shape) - 2.0
 
 
 def channel_score(fields: tuple[Fields, ...], *, recorded: Recorded) -> Score | None:

@@ -108,7 +108,8 @@ def steadied(
         least = _LEAST_EVEN * f.sigma.astype(np.float64) ** 2
         total = np.maximum(_rest(f, variance, -np.inf)[0] + variance, least)
         growth, gain = _growth(f, total), f.gain[channel_index(rate.shape)]
-        doubt = np.where(known, gain**2 * f.exposure_s * error / total, 0.0)
+        # The error is larger where the noise is.
+        doubt = np.where(known, gain**2 * f.exposure_s * error * growth / total, 0.0)
         answers = f.answers._replace(doubt=doubt.astype(np.float32))
         return f._replace(contrasts=f.contrasts / growth, louder=f.louder * growth, answers=answers)
 
@@ -127,23 +128,33 @@ def own_charge(fields: tuple[Fields, ...]) -> Float[np.ndarray, "h w"] | None:
     if told is None:
         return None
     top, information, seen = told
+    z, share = _standing(top, information, seen)
+    for f in fields:
+        seen = seen & ~np.asarray(f.answers.steadied)
+    return np.where(seen, share * z / np.sqrt(np.maximum(information, 1e-30)), 0.0)
+
+
+def _standing(
+    top: Float[np.ndarray, "h w"], information: Float[np.ndarray, "h w"], seen: Bool[np.ndarray, "h w"]
+) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+    """Charges of pixels in standard errors, and what share of each is no noise."""
     z = np.where(seen, top / np.sqrt(np.maximum(information, 1e-30)), 0.0)
     spread = robust_std(z[seen], 0) ** 2
     chance = _FAR * np.sqrt(np.pi / np.count_nonzero(seen))
     share = max(1 - 1 / spread, 0.0) if spread > 1 + chance else 0.0
     # None collects far less than the others, who are about the mean: one that seems to jumps between levels.
-    far = z > _FAR * max(np.sqrt(spread), 1.0)
-    for f in fields:
-        seen = seen & ~np.asarray(f.answers.steadied)
-    return np.where(seen, np.where(far, 1.0, share) * z / np.sqrt(np.maximum(information, 1e-30)), 0.0)
+    return z, np.where(z > _FAR * max(np.sqrt(spread), 1.0), 1.0, share)
 
 
 def error_of_charge(fields: tuple[Fields, ...]) -> Float[np.ndarray, "h w"]:
-    """Standard error of what each pixel collects, e-/s; zero where nothing tells."""
+    """Standard error of `own_charge`, by the noise that all pixels are taken to have, e-/s; zero where
+    nothing tells."""
     told = _told_of_charge(fields)
     if told is None:
         return np.zeros(fields[0].mean.shape)
-    return np.where(told[2], 1 / np.sqrt(np.maximum(told[1], 1e-30)), 0.0)
+    top, information, seen = told
+    share = _standing(top, information, seen)[1]
+    return np.where(seen, np.sqrt(share / np.maximum(information, 1e-30)), 0.0)
 
 
 def _told_of_charge(

@@ -47,7 +47,7 @@ _UNLIKE = 1e-3
 STANDS_OUT = 30.0
 """Chi-square of a pixel from which on it is hot or dead and no part of the variance of a map: one of 20
 million normal values."""
-_STANDS_OUT = 8.0
+FAR_OUT = 8.0
 """Standard deviations of a map and its noise from which on a pixel is no part of the map."""
 _FAR_OF_LINES = 4.0
 """Standard deviations of most pixels up to which one moves its line."""
@@ -181,26 +181,6 @@ def pixel_score(fields: tuple[Fields, ...], *, scaling: str) -> Score[float] | N
     )
 
 
-_TAIL = 1.15
-"""Standard deviation of all pixels over that of most, from which on those far out are worth a word."""
-
-
-def spread_of_all(fields: tuple[Fields, ...], scaling: str, sigma: float) -> tuple[float, float] | None:
-    """Standard deviation of a map with the pixels that are no part of its law, in the unit of `sigma`, which
-    is that of the others, and its standard error; None where it is no larger."""
-    sums = pixel_sums(fields, scaling, KINDS)
-    if sums is None or not (seen := sums.information > 0).any():
-        return None
-    values = sums.score[seen] / sums.information[seen]
-    squares = (values - values.mean()) ** 2
-    variance = float(np.mean(squares) - np.mean(1 / sums.information[seen]))
-    rms = float(np.sqrt(max(variance, 0.0))) * quoted_at(fields, scaling)
-    if not rms > _TAIL * sigma > 0:
-        return None
-    error = float(np.std(squares)) / np.sqrt(squares.size) / (2 * variance) * rms
-    return rms, error
-
-
 def scale_variance(fields: tuple[Fields, ...], scaling: str, kinds: tuple[str, ...]) -> float:
     """Variance of the log of the noise variance under a pooled static map: each field's comes from contrasts,
     whose squares, like those of the map itself, scatter by more where the noise has tails (noise far below a
@@ -238,7 +218,7 @@ def pixel_absorb(fields: tuple[Fields, ...], score: Score[float], *, scaling: st
     sums = pixel_sums(fields, scaling, KINDS)
     if sums is None:  # no recording of the kind that shows it
         return fields
-    apart = np.abs(beside_lines(sums)) >= _STANDS_OUT * np.sqrt(1 + score.payload * sums.information)
+    apart = np.abs(beside_lines(sums)) >= FAR_OUT * np.sqrt(1 + score.payload * sums.information)
     apart &= sums.information > 0
     left = less_map(fields, scaling, score.payload, apart)
     if scaling != "exposure":

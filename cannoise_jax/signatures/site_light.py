@@ -8,7 +8,7 @@ pixels, rows and columns have apart by chance is told by the scatter of bands of
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -20,7 +20,8 @@ from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.robust import median, robust_std
 from cannoise_jax.recordings.recording import mosaic_map
 from cannoise_jax.signatures.added import placed
-from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.channel_levels import parted_errors
+from cannoise_jax.signatures.fields import Fields, native
 from cannoise_jax.signatures.handed import Addition, Found, Many
 from cannoise_jax.signatures.recorded import Recorded
 from cannoise_jax.signatures.remembered import remembered
@@ -31,6 +32,7 @@ from cannoise_jax.signatures.signature import (
     NO_CLOSED_FORM,
     NO_LAW,
     NOT_SIMULATED,
+    STATIC,
     Axes,
     Signature,
     unchanged,
@@ -100,14 +102,16 @@ Look = Callable[[Fields], Parted | None]
 def looking_at(flats: Sequence[Fields]) -> Look:
     """`_parted` of the light of these flats as they were recorded, whatever was taken out of them since, by
     the pixels that are usable now; of other flats, as draws of a simulator, of what is left of them."""
-    recorded = {f.number: (f.mean, _light(f)) for f in flats if f.static is not None}
+    recorded = {f.number: (native(f).mean, _light(native(f))) for f in flats if f.static is not None}
 
-    @remembered("usable", "mean")
+    @remembered("usable", "mean", "static", "sigma")
     def look(f: Fields) -> Parted | None:
         if f.kind != "flat" or f.static is None:
             return None
+        own = native(f)
         mean, light = recorded.get(f.number, (None, None))
-        return _parted(f, light if light is not None and mean is f.mean else _light(f))
+        alike = mean is not None and mean.shape == own.mean.shape and np.allclose(mean, own.mean, 1e-5, 1e-3)
+        return _parted(own, light if light is not None and alike else _light(own))
 
     return look
 
@@ -115,36 +119,56 @@ def looking_at(flats: Sequence[Fields]) -> Look:
 def _light(f: Fields) -> Float[np.ndarray, "h w"]:
     """Mean of all frames above black, DN."""
     black = mosaic_map(np.asarray(f.black, np.float64), f.mean.shape)
-    return f.mean + f.static * f.sigma / np.sqrt(f.frames) - black
+    return (f.mean + f.static * f.sigma / np.sqrt(f.frames) - black).astype(np.float32)
 
 
-def sites_score(fields: tuple[Fields, ...], *, look: Look) -> Score[Sites] | None:
-    """Differences of the sites in the flats, the same share of the light in all or not."""
-    told = [p for f in fields if f.lit and (p := look(f)) is not None]
-    if not told:
+def errors_of_black(darks: Sequence[Fields]) -> dict[int, Float[np.ndarray, "3"]]:
+    """By gain setting, by how much the black levels of even and odd rows, columns and diagonals may part by
+    the scatter of its shortest dark, which they were told by; half the difference, DN."""
+    told = [f for f in darks if f.static is not None]
+    shortest = {g: min((f for f in told if f.group == g), key=_first) for g in {f.group for f in told}}
+    return {g: parted_errors(native(f)) for g, f in shortest.items()}
+
+
+def _first(f: Fields) -> tuple[float, int]:
+    return f.exposure_s or 0.0, -f.frames
+
+
+def sites_score(
+    fields: tuple[Fields, ...], *, look: Look, black: Mapping[int, Float[np.ndarray, "3"]]
+) -> Score[Sites] | None:
+    """Differences of the sites in the flats, the same share of the light in all or not. black: see
+    `errors_of_black`; flats of a setting without darks tell nothing, for their black level is what was
+    stated."""
+    seen = [(f, p) for f in fields if f.lit and f.group in black and (p := look(f)) is not None]
+    if not seen:
         return None
-    darks = [f for f in fields if not f.lit and f.static is not None]
-    dark = sum((f.frames * f.usable.sum() / float(median(f.sigma)) ** 2 for f in darks), 0.0)
-    black = 1 / dark if dark > 0 else 0.0
-    weight = 1 / np.array([p.variance[0] + black / p.level**2 for p in told])
+    told = [p for _, p in seen]
+    level, noise = np.array([p.level for p in told]), np.array([p.variance[0] for p in told])
+    # Of each flat and kind, by what the black level of its setting may be off.
+    off = np.array([black[f.group] for f, _ in seen]) / level[:, None]
+    weight = 1 / (noise + np.mean(off**2, 1))
     weight /= weight.sum()
     mean = np.tensordot(weight, [p.value for p in told], 1)
     cells = np.tensordot(weight, [p.cells for p in told], 1)
-    least = float(np.sum(weight**2 * [p.variance[0] + black / p.level**2 for p in told]))
+    groups = np.array([f.group for f, _ in seen])
     log_p, errors, gain = [], [], 0.0
     for k in range(3):
         variance, freedom = scatter(cells[k])
-        variance = max(variance, least)
+        # What the black level is off by is the same in all flats of a setting.
+        shared = sum(float(weight[groups == g] @ off[groups == g, k]) ** 2 for g in set(groups))
+        variance = max(variance, float(np.sum(weight**2 * noise))) + shared
         if not np.isfinite(variance) or freedom < 1:
             return None
         z = mean[k] / np.sqrt(variance)
         log_p.append(student_log_p(z, freedom))
         errors.append(variance)
         gain += _gain(z, freedom)
-    changes = _changes(told, weight, mean, cells, black)
+    changes = _changes(told, weight, mean, cells, off)
     log_p += [p for p, _ in changes]
-    gain += sum(g for _, g in changes)
-    steady = not changes or bool(min(p for p, _ in changes) > np.log(_STEADY / len(changes)))
+    # One flat less than there are can differ from their mean.
+    gain += sum(g for _, g in changes) * (len(told) - 1) / len(told)
+    steady = bool(changes) and min(p for p, _ in changes) > np.log(_STEADY / len(changes))
     amplitude, error = float(np.sqrt(np.sum(mean**2))), float(np.sqrt(np.mean(errors)))
     names = [name for name, *_ in _AROUND]
     largest = int(np.argmax(np.abs(mean)))
@@ -158,20 +182,21 @@ def sites_score(fields: tuple[Fields, ...], *, look: Look) -> Score[Sites] | Non
         power=1,
         parameters={"sigma": (amplitude, "1", error)},
         where={"axis": "channel", "channel": f"even and odd {names[largest]}"},
-        payload=Sites(mean, tuple((p.level, tuple(map(float, p.value))) for p in told), steady),
+        payload=Sites(mean, tuple((p.level, tuple(map(float, p.value))) for p in told), bool(steady)),
     )
 
 
 def _changes(
-    told: list[Parted], weight: np.ndarray, mean: np.ndarray, cells: np.ndarray, black: float
+    told: list[Parted], weight: np.ndarray, mean: np.ndarray, cells: np.ndarray, off: np.ndarray
 ) -> list[tuple[float, float]]:
     """Log p and nats of what each flat differs by from all of them, of each kind: frozen patterns that are
-    the same share of the light are in none of it."""
+    the same share of the light are in none of it. off: by what the black level may be, see `sites_score`."""
     out = []
     for n, p in enumerate(told if len(told) > 1 else []):
         for k in range(3):
             variance, freedom = scatter(p.cells[k] - cells[k])
-            variance = max(variance, (p.variance[k] + black / p.level**2) * max(1 - weight[n], 0.0))
+            variance = max(variance, float(p.variance[k]) * max(1 - weight[n], 0.0))
+            variance += float(off[n, k] - weight @ off[:, k]) ** 2
             if not np.isfinite(variance) or variance <= 0 or freedom < 1:
                 continue
             z = (p.value[k] - mean[k]) / np.sqrt(variance)
@@ -202,20 +227,19 @@ def apart(recorded: Recorded, *, name: str, covers: tuple[str, ...]) -> tuple[Si
 
     def kind(score: Score[Sites]) -> str:
         k = int(np.argmax(np.abs(score.payload.shares)))
-        what = f"even and odd {_AROUND[k][0]} differ by a share of the light"
+        what = f"even and odd {_AROUND[k][0]} differ by"
         if score.payload.steady:
-            return what
+            return f"{what} {200 * score.payload.shares[k]:.2g} % of the light"
         by = sorted((level, 200 * values[k]) for level, values in score.payload.by_level)
-        return f"{what} that is another one at another signal, " + ", ".join(
-            f"{percent:.2g} % at {level:.0f} DN" for level, percent in by
-        )
+        shares = ", ".join(f"{percent:.2g} % at {level:.0f} DN" for level, percent in by)
+        return f"{what} a share of the light that may be another one at another signal: {shares}"
 
     return (
         Signature(
             name=name,
             axes=Axes("photons", "channel", "frozen", "signal", "contrast"),
-            reads=frozenset({"usable", "mean"}),
-            score=partial(sites_score, look=look),
+            reads=STATIC | {"mean"},
+            score=partial(sites_score, look=look, black=errors_of_black(recorded.unlit)),
             absorb=unchanged,
             covers=covers,
             predict=NO_LAW,

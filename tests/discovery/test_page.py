@@ -65,7 +65,7 @@ def finding(mechanism, value, spread, outcome="FOUND", **more):
 def said_of(entry, proof, axes=ROWS, doubt=None):
     signature = SimpleNamespace(axes=axes, says=None, kind=None, frozen=axes.time == "frozen")
     named = SimpleNamespace(signature=signature, doubt=doubt)
-    darks = (SimpleNamespace(exposure_s=0.01), SimpleNamespace(exposure_s=60.0))
+    darks = (SimpleNamespace(exposure_s=0.01, lit=False), SimpleNamespace(exposure_s=60.0, lit=False))
     step = SimpleNamespace(named=named, late=False, before=darks)
     return sentence(entry, step, proof, VOCABULARY[entry["mechanism"]])
 
@@ -173,9 +173,7 @@ def test_what_is_next_to_nothing_is_not_said_to_differ_most():
     }
     assert verdict(report) == "Differs, and no cause was found."
     report["after"] = {"two_sample_auc": 0.544, "two_sample_auc_ci90": [0.53, 0.56]}
-    assert verdict(report).endswith(
-        "What still differs is seen by the two-sample test alone: an area of 0.544."
-    )
+    assert verdict(report).endswith("but a small network still sees it: an area of 0.544.")
 
 
 def test_a_remainder_that_comes_nearer_and_is_left_out_is_told_from_one_that_does_not_help():

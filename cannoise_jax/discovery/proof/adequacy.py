@@ -313,7 +313,7 @@ def doubt(
     if not against:
         return None
     worst = max(against, key=lambda f: f.after)
-    said = f"a simulator with it differs as much in {', '.join(lines_of(full, worst.left)[:3])}"
+    said = f"a simulator with it still differs in {', '.join(lines_of(full, worst.left)[:3])}"
     return Doubt(share, (said,), instead=True)
 
 

@@ -148,7 +148,8 @@ def jackknife_interval(
         # Of a few frames that lie far apart, or a pattern that most of the frame has little of, the scatter
         # of what each gains says nothing, but that any one can be left out does; and a likelihood ratio
         # exceeds 20 with a chance of 1/20 where there is nothing. A statistic of areas is no such ratio.
-        least = float(gains.min()) - (float(np.log(20)) if signature.redraws_frames else _SURE_NATS)
+        of_frames = signature.redraws_frames and not banded
+        least = float(gains.min()) - (float(np.log(20)) if of_frames else _SURE_NATS)
         # Parts that all gain more than the whole, as much as they know, bound nothing.
         low = max(low, least) if least <= gain else low
     return low, gain + half

@@ -211,7 +211,7 @@ def clear_of(each: list[Borne], larger: Mapping[tuple[str, str], float]) -> list
     that those move, see `moved_at`."""
     clear = {at for at, nats in moved_at(each).items() if nats >= TRACE * larger.get(at, 0.0)}
     return [
-        b if (b.judged.where, FAMILIES[b.judged.family].part) in clear else b._replace(own=b.own & False)
+        b if (b.judged.where, FAMILIES[b.judged.family].part) in clear else b._replace(own=b.own & b.claimed)
         for b in each
     ]
 

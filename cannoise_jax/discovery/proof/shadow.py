@@ -65,9 +65,8 @@ def shadowed(
         return None
     whole = sum(float(b.change[b.own].sum()) for b in each)
     against = Doubt(part.after / part.before if part.before > 0 else 1.0, (_SHADOW,), instead=True)
-    if part.after > LEFT_TOGETHER * part.before or (
-        larger and own_part(clear_of(each, larger)).before < SLACK
-    ):
+    elsewhere = own_part(clear_of(each, larger)).before
+    if part.after > LEFT_TOGETHER * part.before or elsewhere < min(SLACK, part.before):
         return against
     alone = [b for b in each if b.at not in unknown]
     alone += owned([b for b in each if b.at in unknown], unknown)

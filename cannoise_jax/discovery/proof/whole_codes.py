@@ -70,7 +70,7 @@ def codes_to_converters(
     return {
         n: list(borne)
         if n in converters
-        else [b if kept(b) else b._replace(own=b.own & False) for b in borne]
+        else [b if kept(b) else b._replace(own=b.own & b.claimed) for b in borne]
         for n, borne in each.items()
     }
 

@@ -28,7 +28,7 @@ from cannoise_jax.physics.transfer.estimate import Z90
 from cannoise_jax.physics.transfer.faults import Faults
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.curve import VARIANCE_CURVE
-from cannoise_jax.signatures.patterns import spread_of_all
+from cannoise_jax.signatures.whole_spread import spread_of_all
 
 _KNOWN = 0.5
 """Relative error of a read noise that only flats tell, up to which it counts as measured."""

@@ -156,18 +156,20 @@ def _largest(report: dict[str, Any]) -> str:
 def nearer_with_rest(report: dict[str, Any]) -> bool:
     """Whether a remainder that is left out makes the draws surely nearer by composite score and area."""
     gate = report.get("gate") or {"tried": (), "remainder": False}
-    tried = [t for t in gate["tried"] if t["what"].startswith("remainder") and not t["entered"]]
+    tried = [t for t in gate["tried"] if t["what"] == "remainder" and not t["entered"]]
     both = [(t["score_nats_per_pixel"], t["area_distance_change"]) for t in tried]
     return not gate["remainder"] and any(s and a and s["ci90"][0] > 0 > a["ci90"][1] for s, a in both)
 
 
 def _told_apart(report: dict[str, Any]) -> str:
-    """That a network alone tells the recordings from draws, as a sentence; nothing where it does not."""
+    """That a network still tells the recordings from draws, as a sentence; nothing where it does not."""
     after = report.get("after") or {}
     area, interval = after.get("two_sample_auc"), after.get("two_sample_auc_ci90")
     if area is None or not interval or not interval[0] > 0.5:
         return ""
-    return f" What still differs is seen by the two-sample test alone: an area of {area:.3f}."
+    return (
+        f" Next to nothing of the mismatch is left, but a small network still sees it: an area of {area:.3f}."
+    )
 
 
 def sizes(difference: dict[str, Any]) -> tuple[str, str]:

@@ -64,8 +64,7 @@ def sentence(entry: dict[str, Any], step: Step, proof: Proof, term: Term) -> str
     unnamed = entry["outcome"] == "UNKNOWN_STRUCTURE"
     meaning = "" if unnamed else term.amplitude
     size = _sized(entry["amplitude"]["value"], unit, meaning)
-    seconds = longest_exposure(step.before) if step.named.signature.axes.scales == "exposure" else 0.0
-    size += f" at {short(seconds)} s" if unit == "DN" and seconds else ""
+    size += _at_exposure(step) if unit == "DN" else ""
     after = ""
     if unnamed:
         axes, in_words = step.named.signature.axes, step.named.signature.kind
@@ -96,11 +95,22 @@ def sentence(entry: dict[str, Any], step: Step, proof: Proof, term: Term) -> str
     start += f", shared by {count} rows that are read together" if count else ""
     moved = entry.get("parameters", {}).get("frame_offset")
     slow = f", and slower than a frame, whose mean moves by {short(moved['value'])} DN" if moved else ""
+    within = f" (90 %: {amount((low, high), unit, meaning)})" if is_wide(low, high) else ""
     wide = entry.get("parameters", {}).get("sigma_of_all")
     if wide:
-        slow += f", {_sized(wide['value'], wide['unit'], meaning)} with the pixels that are far out of it"
-    within = f" (90 %: {amount((low, high), unit, meaning)})" if is_wide(low, high) else ""
+        within += f", {_sized(wide['value'], wide['unit'], meaning)} with the pixels that are far out of it"
     return f"{start}{within}{after}{slow}{_proven(step, proof)}"
+
+
+def _at_exposure(step: Step) -> str:
+    """The exposure at which the strength of what grows with it holds; nothing where that is not stated, or
+    may be that of the darks or of all recordings."""
+    if step.named.signature.axes.scales != "exposure":
+        return ""
+    darks = [f for f in step.before if not f.lit]
+    longest = longest_exposure(darks)
+    stated = all(f.exposure_s is not None for f in darks) and longest == longest_exposure(step.before)
+    return f" at {short(longest)} s" if stated and longest else ""
 
 
 def _sized(value: float, unit: str | None, meaning: str) -> str:
