@@ -34,7 +34,7 @@ from cannoise_jax.discovery.frames.splits import Splits, read_once, splits_of
 from cannoise_jax.discovery.proof.adequacy import described, doubts, withdrawn
 from cannoise_jax.discovery.proof.excess import Excess, excess
 from cannoise_jax.discovery.proof.gate import Gated, gate, lesser, remaining, sure_of
-from cannoise_jax.discovery.proof.handed_back import checked
+from cannoise_jax.discovery.proof.handed_back import checked, worth_telling
 from cannoise_jax.discovery.proof.in_full import in_full
 from cannoise_jax.discovery.proof.judged import (
     CALIBRATED,
@@ -220,6 +220,7 @@ def diagnose(
             tell("prove: composite score without each finding")
             proven = composite_proofs(jax.random.fold_in(key, 2), proven, quality, sides)
         fitted, gated = withdrawn(fitted, gated, against)
+        fitted, proven = worth_telling(fitted, proven, gated.steps, tell)
     return Diagnosis(
         capture=judged.capture,
         simulator=judged.label,

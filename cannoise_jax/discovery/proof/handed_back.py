@@ -3,7 +3,8 @@ more than the one that was judged."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import compress
 
 import numpy as np
 from jaxtyping import Array, Key
@@ -13,11 +14,30 @@ from cannoise_jax.discovery.compare.sources import shaded
 from cannoise_jax.discovery.proof.check import Checked, check, compared_on, source_of, spoils
 from cannoise_jax.discovery.proof.gate import Gated
 from cannoise_jax.discovery.proof.judged import Judged
+from cannoise_jax.discovery.proof.prove import Proofs
 from cannoise_jax.discovery.proof.sides import Sides
+from cannoise_jax.discovery.search.name import UNKNOWN
+from cannoise_jax.discovery.search.steps import Fitted, Step
 from cannoise_jax.physics.core.sensor import SensorModel
 from cannoise_jax.recordings.recording import BadInput
 
 _AFTER = "the simulator handed back"
+
+
+def worth_telling(
+    fitted: Fitted, proofs: Proofs, entered: Sequence[Step], tell: Callable[[str], None]
+) -> tuple[Fitted, Proofs]:
+    """Both without the findings that lost their name, that the frames held back gain nothing by, and that did
+    not enter the simulator: nothing speaks for them."""
+    kept = []
+    for step, proof in zip(fitted.steps, proofs.each, strict=True):
+        nameless = step.named.mechanism == UNKNOWN and step.named.doubt is not None
+        empty = nameless and proof.loses and not step.late and not any(step is e for e in entered)
+        if empty:
+            tell(f"given up: no name, and nothing gained by it ({step.named.signature.name})")
+        kept.append(not empty)
+    steps, each = tuple(compress(fitted.steps, kept)), tuple(compress(proofs.each, kept))
+    return fitted._replace(steps=steps), proofs._replace(each=each)
 
 
 def checked(
