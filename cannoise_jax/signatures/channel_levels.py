@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -25,9 +26,14 @@ _FOUR_LEVELS = 7.0
 """Nats of the offsets of four channels against their mean: 2.3 for each of three, 0.5 log(n) of n = 106
 values; `ONE_OF_SEVERAL` for each would be 7.5."""
 
-_CONTRASTS = np.array([[1, 1, -1, -1], [1, -1, 1, -1], [1, -1, -1, 1]])
+CONTRASTS = np.array([[1, 1, -1, -1], [1, -1, 1, -1], [1, -1, -1, 1]])
 """Of the four sites: even rows against odd ones, even columns against odd ones, one diagonal against the
 other."""
+
+
+def shortest_dark(darks: Sequence[Fields]) -> Fields:
+    """The one that black levels are told by: of several the one of most frames."""
+    return min(darks, key=lambda f: (f.exposure_s or 0.0, -f.frames))
 
 
 def parted_errors(dark: Fields) -> Float[np.ndarray, "3"]:
@@ -62,7 +68,7 @@ def _contrast_errors(
     darks = [f for f in recorded.unlit or fields if f.kind in DARK and f.static is not None]
     if not darks:
         return np.full(3, least), 1e9
-    shortest = min(darks, key=lambda f: (f.exposure_s or 0.0, -f.frames))
+    shortest = shortest_dark(darks)
     drawn_too = np.sqrt(2.0) if recorded.fitted_too else 1.0
     return np.maximum(drawn_too * parted_errors(native(shortest)), least), min(shortest.mean.shape) - 2.0
 
@@ -77,7 +83,7 @@ def channel_score(fields: tuple[Fields, ...], *, recorded: Recorded) -> Score | 
     slack = recorded.tolerance if np.any(np.ptp(recorded.black, axis=1) > 0) else 0.0
     reduced = np.sign(contrast) * np.maximum(np.abs(contrast) - slack, 0)
     errors, freedom = _contrast_errors(fields, recorded, error / 2)
-    chi2 = float(np.sum((_CONTRASTS @ reduced / 4 / errors) ** 2))
+    chi2 = float(np.sum((CONTRASTS @ reduced / 4 / errors) ** 2))
     rms = float(np.sqrt(np.mean(contrast**2)))
     spread = float(np.sqrt(np.mean(errors**2)))
     return Score(

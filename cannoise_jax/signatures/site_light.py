@@ -20,7 +20,7 @@ from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.robust import median, robust_std
 from cannoise_jax.recordings.recording import mosaic_map
 from cannoise_jax.signatures.added import placed
-from cannoise_jax.signatures.channel_levels import parted_errors
+from cannoise_jax.signatures.channel_levels import CONTRASTS, parted_errors, shortest_dark
 from cannoise_jax.signatures.fields import Fields, native
 from cannoise_jax.signatures.handed import Addition, Found, Many
 from cannoise_jax.signatures.recorded import Recorded
@@ -39,11 +39,11 @@ from cannoise_jax.signatures.signature import (
 )
 
 _AROUND = (
-    ("rows", np.array([[0.0, 1, 0], [0, 0, 0], [0, 1, 0]]) / 2, (1, 1, -1, -1)),
-    ("columns", np.array([[0.0, 0, 0], [1, 0, 1], [0, 0, 0]]) / 2, (1, -1, 1, -1)),
-    ("diagonals", np.array([[0.0, 1, 0], [1, 0, 1], [0, 1, 0]]) / 4, (1, -1, -1, 1)),
+    ("rows", np.array([[0.0, 1, 0], [0, 0, 0], [0, 1, 0]]) / 2),
+    ("columns", np.array([[0.0, 0, 0], [1, 0, 1], [0, 0, 0]]) / 2),
+    ("diagonals", np.array([[0.0, 1, 0], [1, 0, 1], [0, 1, 0]]) / 4),
 )
-"""What is read by turns, the mean of the neighbours of the other kind, and the sign of every site."""
+"""What is read by turns, in the order of `CONTRASTS`, and the mean of the neighbours of the other kind."""
 _FAR = 6.0
 """Standard deviations from the median to which a pixel counts."""
 _STEADY = 1e-3
@@ -52,11 +52,11 @@ _STEADY = 1e-3
 
 class Parted(NamedTuple):
     """By how much the sites of one flat differ, as shares of the light: half the difference of each kind [3],
-    its variance by the noise of the pixels, the level, DN, and what every cell of 2 x 2 pixels adds to each
-    beyond the mean [3, h, w]."""
+    the variance of each by the noise of the pixels, the level, DN, and what every cell of 2 x 2 pixels adds
+    to each beyond the mean [3, h, w]."""
 
     value: Float[np.ndarray, "3"]
-    variance: Float[np.ndarray, "3"]
+    noise: float
     level: float
     cells: Float[np.ndarray, "3 h w"]
 
@@ -80,11 +80,11 @@ def _parted(f: Fields, light: Float[np.ndarray, "h w"]) -> Parted | None:
         return None
     values, cells = [], []
     smooth = np.maximum(ndimage.uniform_filter(light, 16, mode="nearest"), 0.1 * level)
-    for _, around, signs in _AROUND:
+    for (_, around), signs in zip(_AROUND, CONTRASTS, strict=True):
         apart = (light - ndimage.correlate(light, around, mode="nearest")) / (2 * smooth)
         known = f.usable & (ndimage.correlate(f.usable.astype(np.float64), around, mode="nearest") > 0.999)
         known[[0, -1]] = known[:, [0, -1]] = False
-        apart *= mosaic_map(np.asarray(signs, np.float64), f.mean.shape)
+        apart *= mosaic_map(signs.astype(np.float64), f.mean.shape)
         middle = median(apart[known]) if known.any() else 0.0
         limit = _FAR * robust_std(apart[known], 0.0) if known.any() else 0.0
         apart = np.where(known, np.clip(apart, middle - limit, middle + limit), 0.0)
@@ -93,7 +93,7 @@ def _parted(f: Fields, light: Float[np.ndarray, "h w"]) -> Parted | None:
         away = np.where(known, apart - values[-1], 0.0)[:rows, :columns] / number
         cells.append(away.reshape(rows // 2, 2, columns // 2, 2).sum((1, 3)))
     noise = float(np.mean(f.sigma[f.usable].astype(np.float64) ** 2)) / f.frames / level**2
-    return Parted(np.array(values), np.full(3, noise / f.usable.sum()), level, np.array(cells))
+    return Parted(np.array(values), noise / f.usable.sum(), level, np.array(cells))
 
 
 Look = Callable[[Fields], Parted | None]
@@ -126,12 +126,8 @@ def errors_of_black(darks: Sequence[Fields]) -> dict[int, Float[np.ndarray, "3"]
     """By gain setting, by how much the black levels of even and odd rows, columns and diagonals may part by
     the scatter of its shortest dark, which they were told by; half the difference, DN."""
     told = [f for f in darks if f.static is not None]
-    shortest = {g: min((f for f in told if f.group == g), key=_first) for g in {f.group for f in told}}
-    return {g: parted_errors(native(f)) for g, f in shortest.items()}
-
-
-def _first(f: Fields) -> tuple[float, int]:
-    return f.exposure_s or 0.0, -f.frames
+    groups = {f.group for f in told}
+    return {g: parted_errors(native(shortest_dark([f for f in told if f.group == g]))) for g in groups}
 
 
 def sites_score(
@@ -144,7 +140,7 @@ def sites_score(
     if not seen:
         return None
     told = [p for _, p in seen]
-    level, noise = np.array([p.level for p in told]), np.array([p.variance[0] for p in told])
+    level, noise = np.array([p.level for p in told]), np.array([p.noise for p in told])
     # Of each flat and kind, by what the black level of its setting may be off.
     off = np.array([black[f.group] for f, _ in seen]) / level[:, None]
     weight = 1 / (noise + np.mean(off**2, 1))
@@ -195,7 +191,7 @@ def _changes(
     for n, p in enumerate(told if len(told) > 1 else []):
         for k in range(3):
             variance, freedom = scatter(p.cells[k] - cells[k])
-            variance = max(variance, float(p.variance[k]) * max(1 - weight[n], 0.0))
+            variance = max(variance, p.noise * max(1 - weight[n], 0.0))
             variance += float(off[n, k] - weight @ off[:, k]) ** 2
             if not np.isfinite(variance) or variance <= 0 or freedom < 1:
                 continue
@@ -217,8 +213,7 @@ def apart(recorded: Recorded, *, name: str, covers: tuple[str, ...]) -> tuple[Si
     look = looking_at(recorded.flats)
 
     def pattern(fields: Many, score: Score[Sites], rng: np.random.Generator) -> np.ndarray:
-        cell = np.sum([v * np.array(s) for v, (*_, s) in zip(score.payload.shares, _AROUND, strict=True)], 0)
-        return mosaic_map(cell, fields[0].mean.shape)
+        return mosaic_map(score.payload.shares @ CONTRASTS, fields[0].mean.shape)
 
     steadily = placed(Point("photons", "mean", "channel", "frozen", "multiply"))
 

@@ -26,8 +26,8 @@ def camera(
     parted=lambda level: 0.0,
 ):
     """Darks and flats under a lamp that leans and a lens, in plain NumPy. parted: half the difference of even
-    and odd columns at a level, DN, as a share of the light. shared: noise
-    of rows, DN. offset: of the columns."""
+    and odd columns at a level, DN, as a share of the light. shared: noise of rows, DN. offset:
+    of the columns."""
     rng = np.random.default_rng(seed)
     gain, read, black = 0.5, 4.0, 100.0
     y, x = np.mgrid[: SIZE[0], : SIZE[1]] / np.array(SIZE)[:, None, None] - 0.5

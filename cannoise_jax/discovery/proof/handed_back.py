@@ -4,7 +4,6 @@ more than the one that was judged."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import compress
 
 import numpy as np
 from jaxtyping import Array, Key
@@ -14,7 +13,7 @@ from cannoise_jax.discovery.compare.sources import shaded
 from cannoise_jax.discovery.proof.check import Checked, check, compared_on, source_of, spoils
 from cannoise_jax.discovery.proof.gate import Gated
 from cannoise_jax.discovery.proof.judged import Judged
-from cannoise_jax.discovery.proof.prove import Proofs
+from cannoise_jax.discovery.proof.prove import Proofs, with_those
 from cannoise_jax.discovery.proof.sides import Sides
 from cannoise_jax.discovery.search.name import UNKNOWN
 from cannoise_jax.discovery.search.steps import Fitted, Step
@@ -36,8 +35,7 @@ def worth_telling(
         if empty:
             tell(f"given up: no name, and nothing gained by it ({step.named.signature.name})")
         kept.append(not empty)
-    steps, each = tuple(compress(fitted.steps, kept)), tuple(compress(proofs.each, kept))
-    return fitted._replace(steps=steps), proofs._replace(each=each)
+    return with_those(fitted, proofs, kept)
 
 
 def checked(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -61,6 +61,11 @@ class Borne(NamedTuple):
     def at(self) -> tuple[str, str]:
         """Family and place."""
         return self.judged.family, self.judged.where
+
+    @property
+    def place(self) -> tuple[str, str]:
+        """The recording, and whether it is of what stays or of what is redrawn."""
+        return self.judged.where, FAMILIES[self.judged.family].part
 
     @property
     def change(self) -> Float[np.ndarray, "k"]:
@@ -187,8 +192,13 @@ def at_home(each: list[Borne], largest: dict[tuple[str, str], float]) -> list[Bo
     }
 
     def kept(b: Borne) -> bool:
-        return not told or (b.judged.where, FAMILIES[b.judged.family].part) in home
+        return not told or b.place in home
 
+    return but_for(each, kept)
+
+
+def but_for(each: Sequence[Borne], kept: Callable[[Borne], bool]) -> list[Borne]:
+    """Without what is not kept, but for what a mechanism speaks for whatever others do."""
     return [b if kept(b) else b._replace(own=b.own & b.claimed) for b in each]
 
 
@@ -210,18 +220,14 @@ def clear_of(each: list[Borne], larger: Mapping[tuple[str, str], float]) -> list
     """Only the recordings in which a mechanism moves more than what may be a trace of others. larger: nats
     that those move, see `moved_at`."""
     clear = {at for at, nats in moved_at(each).items() if nats >= TRACE * larger.get(at, 0.0)}
-    return [
-        b if (b.judged.where, FAMILIES[b.judged.family].part) in clear else b._replace(own=b.own & b.claimed)
-        for b in each
-    ]
+    return but_for(each, lambda b: b.place in clear)
 
 
 def moved_at(each: list[Borne]) -> dict[tuple[str, str], float]:
     """Nats that a mechanism moves in every recording, of what stays and of what is redrawn."""
     out: dict[tuple[str, str], float] = {}
     for b in each:
-        at = b.judged.where, FAMILIES[b.judged.family].part
-        out[at] = out.get(at, 0.0) + float(b.change[b.own].sum())
+        out[b.place] = out.get(b.place, 0.0) + float(b.change[b.own].sum())
     return out
 
 

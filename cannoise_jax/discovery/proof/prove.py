@@ -117,15 +117,17 @@ def standing(
     fitted: Fitted, proofs: Proofs, tell: Callable[[str], None] = lambda text: None
 ) -> tuple[Fitted, Proofs]:
     """Both without the findings that the frames held back exclude."""
-    steps, each = [], []
-    for step, proof in zip(fitted.steps, proofs.each, strict=True):
-        if refuted(step, proof):
-            named = step.named
-            tell(f"given up: {named.mechanism} ({named.signature.name}), not in the frames held back")
-        else:
-            steps.append(step)
-            each.append(proof)
-    return fitted._replace(steps=tuple(steps)), proofs._replace(each=tuple(each))
+    kept = [not refuted(step, proof) for step, proof in zip(fitted.steps, proofs.each, strict=True)]
+    for step in (s for s, stands in zip(fitted.steps, kept, strict=True) if not stands):
+        named = step.named
+        tell(f"given up: {named.mechanism} ({named.signature.name}), not in the frames held back")
+    return with_those(fitted, proofs, kept)
+
+
+def with_those(fitted: Fitted, proofs: Proofs, kept: Sequence[bool]) -> tuple[Fitted, Proofs]:
+    """Both with the findings that are kept alone."""
+    steps, each = tuple(compress(fitted.steps, kept)), tuple(compress(proofs.each, kept))
+    return fitted._replace(steps=steps), proofs._replace(each=each)
 
 
 def without_doubted_gain(
@@ -133,10 +135,7 @@ def without_doubted_gain(
 ) -> tuple[Fitted, Proofs] | None:
     """Both without the findings that take from the gain and lose their name; None: there are none."""
     named = [not s.named.signature.of_gain or d is None for s, d in zip(fitted.steps, against, strict=True)]
-    if all(named):
-        return None
-    steps, each = tuple(compress(fitted.steps, named)), tuple(compress(proofs.each, named))
-    return fitted._replace(steps=steps), proofs._replace(each=each)
+    return None if all(named) else with_those(fitted, proofs, named)
 
 
 def unproven(steps: tuple[Step, ...]) -> Proofs:

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from scipy import stats
 
 from cannoise_jax.discovery.compare.families import CODES, of
-from cannoise_jax.discovery.proof.own_part import Borne
+from cannoise_jax.discovery.proof.own_part import Borne, but_for
 from cannoise_jax.discovery.search.name import UNKNOWN, Doubt
 from cannoise_jax.discovery.search.steps import Step
 from cannoise_jax.physics.robust import median
@@ -67,12 +67,7 @@ def codes_to_converters(
     def kept(b: Borne) -> bool:
         return b.judged.family != of("", CODES) or float(b.change.sum()) >= moved.get(b.judged.where, 0.0)
 
-    return {
-        n: list(borne)
-        if n in converters
-        else [b if kept(b) else b._replace(own=b.own & b.claimed) for b in borne]
-        for n, borne in each.items()
-    }
+    return {n: borne if n in converters else but_for(borne, kept) for n, borne in each.items()}
 
 
 def _more(
