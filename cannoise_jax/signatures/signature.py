@@ -228,6 +228,14 @@ class Signature:
         """The score of a finding on other frames."""
         return self.again(fields, found) if self.again else self.score(fields)
 
+    def refitted(self, fields: Many, found: Score) -> Score | None:
+        """The score of a finding in the same frames when other findings are in the model. Where something
+        else of its kind is stronger then, as rows that wander are than a wave, that of the finding still."""
+        score = self.score(fields)
+        if score is None or self.again is None or score.same_spot(found):
+            return score
+        return self.again(fields, found)
+
 
 def unchanged(fields: Many, score: Score) -> Many:
     """Nothing to take out of the fields: the signatures that see the effect are set aside instead."""

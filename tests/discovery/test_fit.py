@@ -114,3 +114,28 @@ def test_two_looks_find_nothing_where_there_is_nothing():
         every = lambda together=together: together  # noqa: E731
         found.append(stepwise(looked, LOOKED_FOR, ALLOWED, float(np.log(0.01)), every=every).steps)
     assert sum(map(bool, found)) <= 3  # 0.4 expected: more than 3 has probability 1e-3
+
+
+def test_a_wave_fitted_anew_is_not_taken_for_rows_that_wander():
+    """Found beside the noise of rows, it is fitted in fields that hold that noise again."""
+    wave = SIGNATURES["wave_redrawn"]
+    rng, (y, x) = np.random.default_rng(6), np.indices(SIZE)
+
+    def lines(f, law):
+        values = np.array([law() for _ in range(f.frames)], np.float32)
+        contrasts = np.einsum("nt,tij->nij", helmert(f.frames), values).astype(np.float32)
+        return f._replace(contrasts=f.contrasts + contrasts)
+
+    def weak():
+        return 0.06 * np.cos(2 * np.pi * (0.21 * y + 0.37 * x + rng.random()))
+
+    def wandering():
+        return np.repeat(0.2 * np.cumsum(rng.standard_normal(SIZE[0]))[:, None], SIZE[1], 1)
+
+    alone = refit(tuple(lines(dark(rng, n), weak) for n in range(3)))
+    beside = refit(tuple(lines(f, wandering) for f in alone))
+    found, elsewhere = wave.score(alone), wave.score(beside)
+    assert found.log_p < np.log(0.01) and abs(found.payload.fy - 0.21) < 0.01
+    assert elsewhere.log_p < found.log_p and not elsewhere.same_spot(found)
+    assert wave.refitted(beside, found).same_spot(found)
+    assert wave.refitted(alone, found) == found

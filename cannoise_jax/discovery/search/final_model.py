@@ -70,7 +70,8 @@ def in_final_model(
         ]
         for n in _bearing(steps, moved, taken, step.named.signature.reads):
             fields = without(steps[n].named, fields, fields)
-        score = step.named.signature.score(fields) if k + 1 < len(steps) else step.named.score
+        found = step.named.score
+        score = own.refitted(fields, found) if k + 1 < len(steps) else found
         share = step.named.signature.weight
         return step if score is None else step._replace(log_p=sidak(score.log_p, tests / share))
 

@@ -264,8 +264,9 @@ def _active(
 
 def _fitted_anew(step: Step, fields: tuple[Fields, ...]) -> Step:
     """The step with the score that it has in these fields."""
-    named = step.named._replace(score=step.named.signature.score(fields) or step.named.score)
-    return step._replace(named=named, before=fields)
+    found = step.named.score
+    score = step.named.signature.refitted(fields, found) or found
+    return step._replace(named=step.named._replace(score=score), before=fields)
 
 
 def _again(steps: Sequence[Step], fields: tuple[Fields, ...]) -> tuple[list[Step], tuple[Fields, ...]]:

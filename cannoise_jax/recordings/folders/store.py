@@ -37,6 +37,7 @@ from cannoise_jax.recordings.metadata import count_above, make_recording, warn_s
 from cannoise_jax.recordings.native import SUFFIXES as NATIVE
 from cannoise_jax.recordings.native import open_native, write_recording
 from cannoise_jax.recordings.opened import stated
+from cannoise_jax.recordings.pictures import SUFFIXES as PICTURES
 from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
 from cannoise_jax.recordings.sidd import is_instance
 from cannoise_jax.recordings.unfinished import is_finished
@@ -215,9 +216,22 @@ def _is_prepared(folder: Path) -> bool:
     files = [
         p for p in folder.iterdir() if not p.name.startswith(".") and (is_instance(p) or is_supported(p))
     ]
-    return bool(files) and all(
-        is_instance(p) or suffix_of(p) in NATIVE or p.with_suffix(".json").is_file() for p in files
-    )
+    beside = [p for p in files if not is_instance(p) and suffix_of(p) not in NATIVE]
+    return bool(files) and all(p.with_suffix(".json").is_file() for p in beside) and not _single(beside)
+
+
+def _single(files: Sequence[Path]) -> bool:
+    """Whether they are two or more and each holds one image, so that those of a setting are to be joined."""
+    return len(files) > 1 and all(suffix_of(p) in PICTURES or _frames_of(p) == 1 for p in files)
+
+
+def _frames_of(path: Path) -> int:
+    """How many frames a file holds; 0 of one that cannot be read, or that states their `clean` beside them."""
+    try:
+        opened = open_file(path)
+    except BadInput:
+        return 0
+    return 0 if "clean" in opened.known else len(opened.frames)
 
 
 def _key(folder: Path, options: Options) -> str:

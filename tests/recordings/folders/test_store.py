@@ -2,6 +2,7 @@
 
 import dataclasses
 import gc
+import json
 import os
 import pickle
 import subprocess
@@ -10,6 +11,7 @@ import sys
 import numpy as np
 import pytest
 from astropy.io import fits
+from PIL import Image
 
 from cannoise_jax.recordings.folders import store
 from cannoise_jax.recordings.folders.aside import used_of
@@ -99,6 +101,29 @@ def test_the_set_of_most_frames_is_used_and_of_as_many_the_largest(modes, size, 
     capture, said = capture_of(sets(tmp_path / "in", **modes), Options({}), tmp_path / "cache")
     assert {r.size for r in capture.recordings} == {size}
     assert f"size {size[0]}x{size[1]}" in used_of(said)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".npy"])
+def test_files_of_one_image_with_side_cars_are_joined_and_stacks_are_not(tmp_path, suffix):
+    about = {"cfa": "MONO", "black_level": 64, "white_level": 1023, "camera": "Acme 100"}
+    rng, one, stacks = np.random.default_rng(3), tmp_path / "one", tmp_path / "stacks"
+    for folder in (one, stacks):
+        folder.mkdir()
+    for kind, exposure, level in (("dark", 0.01, 64), ("flat", 0.02, 500)):
+        more = json.dumps(about | {"kind": kind, "exposure_s": exposure})
+        frames = rng.normal(level, 4, (3, 24, 32)).round().astype(np.uint16)
+        np.save(stacks / f"{kind}.npy", frames)
+        (stacks / f"{kind}.json").write_text(more)
+        for n, frame in enumerate(frames):
+            np.save(one / f"{kind}_{n}.npy", frame) if suffix == ".npy" else Image.fromarray(frame).save(
+                one / f"{kind}_{n}.png"
+            )
+            (one / f"{kind}_{n}.json").write_text(more)
+    joined, stacked = (capture_of(f, Options({}), tmp_path / "cache")[0] for f in (one, stacks))
+    assert {r.kind: r.count for r in joined.recordings} == {"dark": 3, "flat": 3}
+    assert {r.kind: r.count for r in stacked.recordings} == {"dark": 3, "flat": 3}
+    for r, other in zip(joined.recordings, stacked.recordings, strict=True):
+        np.testing.assert_array_equal(r.frames, other.frames)
 
 
 def test_a_folder_is_converted_once(tmp_path):
