@@ -226,7 +226,7 @@ def _single(files: Sequence[Path]) -> bool:
 
 
 def _frames_of(path: Path) -> int:
-    """How many frames a file holds; 0 of one that cannot be read, or that states their `clean` beside them."""
+    """How many frames a file holds; 0 of one that cannot be read, or that has their `clean` with them."""
     try:
         opened = open_file(path)
     except BadInput:
