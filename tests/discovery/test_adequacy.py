@@ -288,6 +288,27 @@ def test_a_gain_map_of_fringes_is_no_map_of_single_pixels(texture):
         assert against.left == pytest.approx(structured[texture], abs=0.1) and "px" in against.against[0]
 
 
+@pytest.mark.parametrize("of", ["halves", pytest.param("halves and white", marks=pytest.mark.slow), "white"])
+def test_gains_of_the_columns_of_each_half_are_no_map_of_single_pixels(of):
+    """Read from both ends, a column has two amplifiers, which differ by what their mean leaves."""
+    rng = np.random.default_rng(5)
+    halves, white = np.repeat(rng.standard_normal((2, 128)), 48, 0), rng.standard_normal((96, 128))
+    pattern = {"halves": halves, "halves and white": halves + 0.5 * white, "white": white}[of]
+    shared = 0.5 * rng.standard_normal(128)  # what whole columns have
+    capture = capture_set(4, response(0.02 * (pattern + shared)), kinds="df")
+    step, columns = (
+        step_of(capture, f"{name}_relative_static", mechanism, -50)
+        for name, mechanism in (("pixel", "prnu"), ("column", "column_gain"))
+    )
+    rest = columns.named.signature.absorb(step.before, columns.named.score)
+    score = step.named.signature.score(rest)
+    assert score is not None and score.log_p < -50
+    against = patterned(step._replace(named=step.named._replace(score=score), before=rest))
+    assert (against is not None) == (of != "white")
+    if of == "halves":  # an eighth of the pairs lie in both; of 128 columns some are alike by chance
+        assert against.left == pytest.approx(0.78, abs=0.1) and "parts of columns" in against.against[0]
+
+
 def test_an_offset_map_that_repeats_is_no_map_of_single_pixels():
     y, x = np.mgrid[:96, :128]
     checks = np.sign(np.sin(2 * np.pi * y / 7.3)) * np.sign(np.sin(2 * np.pi * x / 11.1))

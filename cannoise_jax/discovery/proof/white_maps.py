@@ -57,6 +57,10 @@ blurred ones have none, tiles of 6 x 10 and checks of 7.3 x 11.1 pixels 0.3 to 1
 _CAPPED = 5.0
 """Typical power at which others count beside a line, so that lines beside each other do not hide."""
 
+_APART, _ACROSS = (4, 6, 8), (1, 2, 3, 4, 6, 8)
+"""Pixels between those along a line that are compared, farther than light and charge reach over; and between
+those across it, which may have nothing alike: of fringes and rings they have at one distance or another."""
+
 _FARTHEST = 1e-3
 """Share of the pixels, the noisiest, that count as the next one does."""
 _AGAIN = 0.5
@@ -113,6 +117,10 @@ def patterned(step: Step) -> Doubt | None:
     if one is None or two is None:
         return None
     noise = axes.law == NOISE
+    parts = _of_parts(one, two)
+    if parts.share > _STRUCTURED:
+        said = f"{100 * parts.share:.0f} % of the map is of parts of {parts.axis}s, not of single pixels"
+        return Doubt(parts.share, (said,), instead=True)
     found = max(_of_blocks(one, two, noise), _of_waves(one, two, noise), key=lambda f: f.share)
     if found.share <= _STRUCTURED:
         repeated = 0.0 if noise else _of_lines(one, two)
@@ -191,6 +199,34 @@ def _of_lines(one: Float[np.ndarray, "h w"], two: Float[np.ndarray, "h w"]) -> f
     out[:, [0, out.shape[1] // 2]] = False
     every = float(cross.sum())
     return float(cross[out].sum()) / every if every > 0 else 0.0
+
+
+class _Parts(NamedTuple):
+    """Share of a map's variance that is of parts of lines, 0 where that may be chance, and of which lines."""
+
+    share: float
+    axis: str
+
+
+def _of_parts(one: Float[np.ndarray, "h w"], two: Float[np.ndarray, "h w"]) -> _Parts:
+    """What pixels some way along a line have alike, beyond those across it. What whole lines share is taken
+    out of the map; where halves are read by amplifiers of their own, what these differ by stays in it, and is
+    of no scale that single pixels are told by."""
+    one, two = one - one.mean(), two - two.mean()
+    own = float(np.mean(one * two))
+    error = float(np.sqrt(np.mean(one**2) * np.mean(two**2) / one.size))
+    found = _Parts(0.0, "")
+    for axis, (a, b) in (("column", (one, two)), ("row", (one.T, two.T))):
+        along = np.mean([_alike(a, b, k) for k in _APART])
+        more = float(along - np.sqrt(np.mean([_alike(a.T, b.T, k) ** 2 for k in _ACROSS])))
+        if own > 0 and more > _SURE * error:
+            found = max(found, _Parts(min(more / own, 1.0), axis))
+    return found
+
+
+def _alike(one: Float[np.ndarray, "h w"], two: Float[np.ndarray, "h w"], apart: int) -> float:
+    """The mean product of pixels so many rows apart."""
+    return float(np.mean(one[apart:] * two[:-apart]) + np.mean(two[apart:] * one[:-apart])) / 2
 
 
 def _smoothed(power: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
