@@ -36,6 +36,7 @@ from cannoise_jax.signatures import (
     moved_tiles,
     moving_taps,
     noisy_lines,
+    other_response,
     patterns,
     peaks,
     pixels,

@@ -47,6 +47,10 @@ _ALWAYS: tuple[Signature, ...] = (
     ),  # fmt: skip
     # A start that the first frames still show, an image that lags, offsets that wander.
     looks.in_time.kept(name="kept_in_time", covered_by=("warm",), covers=looks.COVERS_NOTHING),
+    # Half covered to find the focus, under another filter, or damaged.
+    looks.other_response.other(
+        name="other_response", covers=looks.COVERS_NOTHING, lifted_by=imprints.NO_RESPONSE
+    ),
     looks.covariance.any_lag("white", name="lags_any", covers=imprints.BLENDS),
     looks.covariance.any_lag("read", name="lags_read", covers=imprints.BLENDS),
     looks.shape.tails(name="light_tails", heavy=False, covers=looks.NOISY),

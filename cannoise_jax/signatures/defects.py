@@ -25,8 +25,9 @@ from cannoise_jax.signatures.recorded import Recorded
 from cannoise_jax.signatures.score import LEAST_LOG_P, SHARE_OF_FEW, Score
 from cannoise_jax.signatures.signature import CONTRASTS, COVERS_NOTHING, STATIC, Axes, Signature
 
-_LOST = 0.5
-"""Share of the signal that a dead pixel misses at least."""
+LOST = 0.75
+"""Share of the signal that a dead pixel misses at least: charge of its neighbours reaches it, and pixels that
+are half covered miss a half."""
 _CLEAR = 8.0
 """Standard deviations of the spread of the responses that this share must be."""
 _RUN, _WIDE = 32, 3
@@ -70,7 +71,7 @@ def _responses(fields: tuple[Fields, ...]) -> tuple[np.ndarray, np.ndarray, np.n
         if not f.lit or f.static is None:
             continue
         root = np.sqrt(f.frames) * f.signal / f.sigma
-        tells = f.usable & (root * _LOST > 10)
+        tells = f.usable & (root * LOST > 10)
         share = -f.static / np.maximum(root, 1e-6)
         centre = median(share[tells]) if tells.any() else 0.0
         least = np.where(tells, np.minimum(least, share - centre), least)
@@ -80,14 +81,14 @@ def _responses(fields: tuple[Fields, ...]) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def find_dead(fields: tuple[Fields, ...]) -> np.ndarray | None:
-    """Pixels that miss half of the light or more wherever it fell; None where no recording tells."""
+    """Pixels that miss most of the light wherever it fell; None where no recording tells."""
     found = _responses(fields)
     if found is None:
         return None
     least, seen, _ = found
     known = seen > 0
     spread = max(robust_std(least[known]), 1e-4)
-    dead = known & (least > _LOST) & (least > _CLEAR * spread)
+    dead = known & (least > LOST) & (least > _CLEAR * spread)
     # An edge where the reference is off is dark along a line, dust over an area; a dead pixel stands alone.
     lines = _dead_lines(dead) if not any(f.kind == "scene" for f in fields) else np.zeros(dead.shape, bool)
     single = dead & ~lines
@@ -243,7 +244,7 @@ _SURELY = 5.0
 
 
 def dead(*, name: str, lifted_by: tuple[str, ...]) -> Signature:
-    """Pixels that miss half of the light or more."""
+    """Pixels that miss most of the light."""
 
     def pattern(fields: tuple[Fields, ...], score: Score[str], rng: np.random.Generator) -> np.ndarray | None:
         found = find_dead(fields)

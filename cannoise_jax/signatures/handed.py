@@ -33,6 +33,15 @@ class Predicted(NamedTuple):
     frame: float = 0.0
     exponent: float = 0.0
 
+    @property
+    def left_out(self) -> Predicted | None:
+        """What is compared with it: nothing, in place of a pattern the noise alone that its doubt is in all
+        pixels. Where their noise is stronger than it was taken to be, doubt describes them better by itself.
+        """
+        if self.pattern is None:
+            return None
+        return Predicted(self.scaling, np.zeros((1, 1)), float(np.mean(self.doubt)))
+
 
 class Series(NamedTuple):
     """One recording as the series that a name says is Gaussian noise, redrawn in every frame.

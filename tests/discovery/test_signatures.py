@@ -155,6 +155,7 @@ UNPLANTED = {
     "tail_column, tail_row": "discovery/test_late_charge.py",
     "row_spread, column_spread": "signatures/test_noisy_lines.py",
     "kept_in_time": "signatures/test_in_time.py",
+    "other_response": "signatures/test_other_response.py",
     "telegraph_beside": "signatures/test_jumps_beside.py",
 }
 """Signatures that take something out which only recordings show: edges of scenes, a smooth mean, single

@@ -180,7 +180,7 @@ def prove(
         return steps[n].named.signature.single_pixels or not masked, bool(law.frame), bool(law.column)
 
     def scored(n: int, whole: bool) -> Scored:
-        model = [p for p in known if whole or p is not laws[n]]
+        model = known if whole else [q for p in known if (q := p.left_out if p is laws[n] else p)]
         return score_frames(first, second, chosen, model, None if cut(n)[0] else ordinary, laws[n])
 
     lawful = [n for n, law in enumerate(laws) if law is not None and pixels]
