@@ -273,12 +273,20 @@ def piled_up(
 ) -> Signature:
     """Values that are cut off at a rail above or below black: the shape of what is left is the rail's, so it
     is judged first. off: signatures of single pixels, which know of it (`cut_off`), but are told after."""
+    black, raised = float(recorded.black.mean()), strength(parameter)
+
+    def simulate(found: Found) -> Addition:
+        # A camera model has no code below 0 anyhow, and the black level that it has was told with that in
+        # mind: what its darks have more by it is no part of it.
+        at_zero = found.score.amplitude + black <= recorded.codes.step / 2
+        return Addition(bare=True, fitted_black=True) if at_zero else raised(found)
+
     return _of_codes(
         "pile-up",
         name=name,
-        score=partial(clip_score, codes=recorded.codes, black=float(recorded.black.mean())),
+        score=partial(clip_score, codes=recorded.codes, black=black),
         covers=covers,
         before=lambda score: (*covers, *off),
         rare=True,
-        simulate=strength(parameter),
+        simulate=simulate,
     )

@@ -28,6 +28,7 @@ from scipy import optimize, stats
 
 from cannoise_jax.physics.transfer.bent import signal_of_order
 from cannoise_jax.signatures.added import strength
+from cannoise_jax.signatures.black_charge import charge_in_black
 from cannoise_jax.signatures.curvature import bent_light, order_of
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.plain import plain
@@ -168,10 +169,14 @@ def response_score(
     baselines: tuple[GroupBaseline, ...],
     step: float,
     span: float,
+    darks: Sequence[Fields] = (),
 ) -> Score | None:
     """The photon-transfer curve of a response that bends, where the means of flats over their exposures say
-    so as well. None without flats of three exposures. found: in other frames, which tell its order."""
+    so as well. None without flats of three exposures. found: in other frames, which tell its order. darks: as
+    they were recorded, which tell what of the light is dark charge in the black level."""
     seconds = {f.number: f.exposure_s for f in fields if f.kind == "flat" and f.clean is None}
+    longest = max((float(s) for s in seconds.values() if s), default=0.0)
+    charge = charge_in_black(darks, longest) if longest else {}
     curves, points = [], []
     for n, b in enumerate(baselines):
         for c in range(4):
@@ -181,7 +186,7 @@ def response_score(
                 continue
             y, v, e = (np.array([getattr(p, k) for p in own]) for k in ("signal", "variance", "error"))
             curves.append((y, v - b.read_noise[c] ** 2 - step**2 / 12, e))
-            points += [(n, r, s) for r, s in _means(own)]
+            points += [(n, r, s + charge.get(n, 0.0)) for r, s in _means(own)]
     exposures = {seconds[r] for _, r, _ in points}
     if len(exposures) < _FEWEST:
         return None
@@ -281,7 +286,13 @@ def of_flats(
     lifted_by: tuple[str, ...],
 ) -> Signature:
     """A response that bends, in flats without a reference. parameter, order: of the mechanism."""
-    score = partial(response_score, baselines=recorded.baselines, step=recorded.step, span=recorded.span)
+    score = partial(
+        response_score,
+        baselines=recorded.baselines,
+        step=recorded.step,
+        span=recorded.span,
+        darks=recorded.unlit,
+    )
     return plain(
         name=name,
         axes=Axes("converter", "signal", "frozen", "signal squared", "curve"),

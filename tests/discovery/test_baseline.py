@@ -50,6 +50,16 @@ def test_the_baseline_of_a_camera(read, black, step):
     assert np.asarray(model.black_level) == pytest.approx(np.full(4, black), abs=0.06)
 
 
+@pytest.mark.parametrize("frames", [3, pytest.param(8, marks=pytest.mark.slow)])
+def test_what_code_0_cuts_off_of_darks_is_not_missing_in_the_light(frames):
+    """Of a black level of 0 half of the noise is cut off, and medians of few frames are no measure of it."""
+    capture = capture_set(3, kinds="df", read=11.0, black=0.0, gain=0.15, frames=frames, size=(160, 192))
+    (found,) = prepare(capture, all_frames(split_recordings(capture)), False).baselines
+    assert found.gain == pytest.approx(np.full(4, 0.15), rel=0.02)
+    assert found.read_noise == pytest.approx(np.full(4, 1.65), rel=0.03)
+    assert found.pedestal == pytest.approx(np.zeros(4), abs=0.08)
+
+
 @pytest.mark.parametrize(
     "camera",
     [

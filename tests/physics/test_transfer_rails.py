@@ -170,3 +170,24 @@ def test_a_flat_that_is_not_above_black_has_no_full_well():
         code_step=1.0,
     )
     assert isinstance(saturation([frame_statistics(recording("flat"))], base), NotMeasurable)
+
+
+def test_the_gain_beside_darks_that_are_cut_off_is_that_of_the_flats():
+    """What code 0 cuts off of the noise of a dark is not missing in the light."""
+    rng = np.random.default_rng(4)
+    gain, sigma, size = 0.15, 1.65, (120, 160)
+
+    def stack(kind, light, count=4):
+        noisy = gain * rng.poisson(light / gain, (count, *size)) + sigma * rng.standard_normal((count, *size))
+        frames = np.clip(np.rint(noisy), 0, None).astype(np.uint16)
+        return Recording(frames, "MONO", (0.0,) * 4, 1023.0, kind=kind, exposure_s=0.01)
+
+    flats = [stack("flat", light) for light in (140.0, 280.0, 560.0)]
+    (transfer,) = photon_transfer(CaptureSet("c", (*flats, stack("dark", 0.0))))
+    transfer = of_all_pixels(transfer)
+    (found,) = transfer.outcomes("system gain")
+    assert isinstance(found, Estimate) and abs(found.value - gain) < 4 * found.stderr < 0.01
+    (read,) = transfer.outcomes("temporal dark noise", "DN")
+    assert isinstance(read, Estimate) and read.ci90[0] < sigma < read.ci90[1]
+    (rows,) = transfer.outcomes("temporal dark noise, rows included", "DN")
+    assert isinstance(rows, NotMeasurable) and "cut off" in rows.record

@@ -7,6 +7,7 @@ import pytest
 from scipy import stats
 
 from cannoise_jax.physics.transfer.bent import signal_of_order
+from cannoise_jax.signatures.black_charge import charge_in_black
 from cannoise_jax.signatures.curvature import order_of
 from cannoise_jax.signatures.recorded import Level
 from cannoise_jax.signatures.response import by_mean, by_variance, of_flats
@@ -193,3 +194,38 @@ def test_few_exposures_tell_nothing():
         score_of(recorded(rng, loss=0.01, lamp=0.02, light=LIGHT[few]), LIGHT[few]).gain for _ in range(40)
     ]
     assert np.mean(np.array(gains) > 0) < 0.3
+
+
+def test_dark_charge_in_the_black_level_is_no_bend_of_the_light():
+    """A shortest dark of a thirtieth of the longest flat, and so much charge that a thousandth of the light
+    is in it: the flats of few milliseconds seem to have too little light."""
+    seconds, rate = LIGHT / SPAN, 0.03 * SPAN  # DN/s, of flats of SPAN DN/s
+    darks = tuple(
+        f._replace(exposure_s=t, mean=np.full_like(f.mean, 100.0 + rate * t))
+        for f, t in zip(
+            white(np.random.default_rng(1), kinds=("dark",) * 3, size=(32, 32)), (0.05, 0.1, 0.8), strict=True
+        )
+    )
+    assert charge_in_black(darks, seconds.max()) == {0: pytest.approx(0.05 * rate, rel=0.05)}
+    bias = darks[0]._replace(exposure_s=0.0, mean=np.full_like(darks[0].mean, 100.0))
+    assert charge_in_black((bias, *darks), seconds.max()) == {}
+    found, missed = 0, 0
+    for seed in range(10):
+        said = recorded(np.random.default_rng(seed), loss=0.015)
+        lowered = [
+            dataclasses.replace(b, levels=tuple(p._replace(signal=p.signal - 0.05 * rate) for p in b.levels))
+            for b in said.baselines
+        ]
+        known = RECORDED._replace(baselines=tuple(lowered), span=SPAN, unlit=darks)
+        for unlit in (darks, ()):
+            told = of_flats(
+                known._replace(unlit=unlit),
+                name="x",
+                parameter="loss",
+                order="order",
+                covers=(),
+                lifted_by=(),
+            ).score(FIELDS)
+            found += bool(unlit) and told.gain > 10
+            missed += not unlit and not told.gain > 10
+    assert found >= 9 and missed >= 9

@@ -59,18 +59,19 @@ def fit_baseline(stacks: list[Stack], iso: float | None) -> GroupBaseline:
     curves = [curve_of(without_flicker(s, black, shared), black) for s in chosen if len(s.contrasts)]
     levels, start = mark_full(levels_of(curves, black), chosen[0].step)
     levels, _ = mark_full(levels_of(curves, black, start), chosen[0].step)
+    cut = _lost_below(chosen, levels, black)
     lines = [
-        _line(curves, [p for p in levels if p.channel == c and not p.full], c, chosen[0]) for c in range(4)
+        _line(curves, [p for p in levels if p.channel == c and not p.full], c, chosen[0], cut[c])
+        for c in range(4)
     ]
     gain, read, gain_error, read_error = (np.array(column) for column in zip(*lines, strict=True))
     # The four channels have it in common: the variance of each is twice as unsure as that of all.
     common = _between_frames(dark, float(np.linalg.norm(read_error * read)) / 2)
     read_error = np.maximum(read_error, 2 * common / (2 * read))
     pedestal = black.copy()
-    for s in (s for s in chosen if s.recording.kind in DARK and len(s.contrasts)):
-        if (s.recording.exposure_s or 0.0) == _shortest(chosen):
-            pedestal, read = _before_rounding(s, [p for p in levels if p.recording == s.number], black, read)
-            break
+    if (dark_told := _shortest_dark(chosen)) is not None:
+        own = [p for p in levels if p.recording == dark_told.number]
+        pedestal, read = _before_rounding(dark_told, own, black, read)
     return GroupBaseline(
         gain=gain,
         read_noise=read,
@@ -85,6 +86,10 @@ def fit_baseline(stacks: list[Stack], iso: float | None) -> GroupBaseline:
     )
 
 
+_TELLS = 0.5
+"""Standard deviations, codes, from which on noise that is cut off tells how much of it is lost."""
+_WHOLE = 3.0
+"""Variance of noise of which half is cut off, over what is left of it."""
 _FEWEST_CONTRASTS = 3
 """Of a dark from which on they show how its noise differs from frame to frame."""
 _MORE = 2.0
@@ -105,11 +110,41 @@ def _between_frames(dark: list[Stack], known: float) -> float:
     return error if error > _MORE * known else 0.0
 
 
+def _lost_below(chosen: list[Stack], levels: list[Level], black: np.ndarray) -> np.ndarray:
+    """Variance of each channel of the shortest dark that is lost where values are cut off at code 0, DN^2:
+    that of flats is whole."""
+    out, dark = np.zeros(4), _shortest_dark(chosen)
+    for p in levels:
+        if dark is None or p.recording != dark.number or not _is_cut(p, black):
+            continue
+        if p.variance > (_TELLS * dark.step) ** 2:
+            _, read = _before_cut(dark, p)
+            out[p.channel] = max(read**2 + dark.step**2 / 12 - p.variance, 0.0)
+    return out
+
+
+def _is_cut(p: Level, black: np.ndarray) -> bool:
+    """Whether code 0 is near enough to the level of a dark to be seen in its noise."""
+    return bool(black[p.channel] <= CLEAR * np.sqrt(p.variance))
+
+
+def _before_cut(dark: Stack, p: Level) -> tuple[float, float]:
+    """Black level and read noise (DN) of one channel of a dark before rounding and clipping. Of noise that is
+    cut off the variance is the mean of that of the pixels: medians tell it of normal noise alone."""
+    at = SITES[p.channel]
+    n, each = len(dark.contrasts), dark.variance[at][dark.usable[at]]
+    far = _WHOLE * float(stats.chi2.isf(1e-6, n)) / n * p.variance
+    variance = float(each[each < far].mean())
+    level, spread = level_and_spread(dark.mean[at], variance, dark.frames, dark.step)
+    return before_rounding(level, variance, dark.step, spread)
+
+
 def _line(
-    curves: list[Curve], levels: list[Level], c: int, first: Stack
+    curves: list[Curve], levels: list[Level], c: int, first: Stack, cut: float
 ) -> tuple[float, float, float, float]:
     """Gain and read noise (DN) of one channel and their errors; as stated, with error 0, where the levels do
-    not tell them. levels: of this channel, without those of full pixels."""
+    not tell them. levels: of this channel, without those of full pixels. cut: variance that darks have lost,
+    DN^2."""
     step, r = first.step, first.recording
     span = r.white_level - np.mean(r.black_level)
     if not levels:
@@ -124,7 +159,7 @@ def _line(
         levels = broad
     signal = np.maximum([p.signal for p in levels], 0)
     dark = int(np.sum(signal < 1e-3 * max(float(signal.max()), 1.0) + 2 * step))
-    line = fit_line(maps_of(curves, levels, c), step**2 / 12) if dark < len(levels) else None
+    line = fit_line(maps_of(curves, levels, c, cut), step**2 / 12) if dark < len(levels) else None
     if line is not None and (line.sure or np.ptp(signal) >= 2 * step):
         read = np.sqrt(max(min(line.offset.value, most), 1e-4 * step**2))
         return max(line.slope.value, 1e-6), read, line.slope.stderr, line.offset.stderr / (2 * read)
@@ -137,6 +172,12 @@ def _line(
         slope = min(slope, max(rest, 0.0) / level) if r.shot else max(rest, 0.0) / level
         rest -= slope * level
     return slope, float(np.sqrt(max(rest, 1e-4 * step**2))), 0.0, 0.0
+
+
+def _shortest_dark(stacks: list[Stack]) -> Stack | None:
+    """The shortest dark that shows noise."""
+    told = (s for s in stacks if s.recording.kind in DARK and len(s.contrasts))
+    return min(told, key=lambda s: s.recording.exposure_s or 0.0, default=None)
 
 
 def _shortest(stacks: list[Stack]) -> float:
@@ -164,7 +205,10 @@ def _before_rounding(
     pedestal, read = black.copy(), read.copy()
     for p in levels:
         sigma = np.sqrt(p.variance)
-        if sigma > COARSE * dark.step and black[p.channel] > CLEAR * sigma:
+        if sigma > COARSE * dark.step and not _is_cut(p, black):
+            continue
+        if _is_cut(p, black):
+            pedestal[p.channel], read[p.channel] = _before_cut(dark, p)
             continue
         level, spread = level_and_spread(dark.mean[SITES[p.channel]], p.variance, dark.frames, dark.step)
         pedestal[p.channel], read[p.channel] = before_rounding(level, p.variance, dark.step, spread)

@@ -132,8 +132,9 @@ def _levels(curve: Curve, c: int, black: float, start: tuple[np.ndarray, np.ndar
     return out
 
 
-def maps_of(curves: Sequence[Curve], levels: Sequence[Level], c: int) -> list[ChannelMaps]:
-    """One channel of the recordings for the line, the pixels of these levels alone."""
+def maps_of(curves: Sequence[Curve], levels: Sequence[Level], c: int, cut: float) -> list[ChannelMaps]:
+    """One channel of the recordings for the line, the pixels of these levels alone. cut: variance that the
+    darks have lost where they are cut off, DN^2."""
     at, out = SITES[c], []
     for curve in curves:
         s = curve.stack
@@ -142,7 +143,7 @@ def maps_of(curves: Sequence[Curve], levels: Sequence[Level], c: int) -> list[Ch
             signal = np.asarray(curve.measured[at], np.float64)
             if s.recording.kind in DARK:
                 signal = np.maximum(signal, 0.0)
-            variance = np.asarray(s.variance[at], np.float64)
+            variance = np.asarray(s.variance[at], np.float64) + (cut if s.recording.kind in DARK else 0.0)
             usable = np.isin(curve.part[at], parts)
             frames = s.frames + s.before
             out.append(ChannelMaps(signal, variance, usable, frames, len(s.contrasts), curve.known))

@@ -45,7 +45,15 @@ from cannoise_jax.physics.transfer.quiet import (
     unchanging,
     with_rounding_told,
 )
-from cannoise_jax.physics.transfer.rails import LINEAR, STILL, below_rail, lit_of, moved, with_measured_black
+from cannoise_jax.physics.transfer.rails import (
+    LINEAR,
+    STILL,
+    below_rail,
+    is_cut_off,
+    lit_of,
+    moved,
+    with_measured_black,
+)
 from cannoise_jax.physics.transfer.ranges import finest
 from cannoise_jax.physics.transfer.shape import shape_quantities
 from cannoise_jax.physics.transfer.spacing import own_step, rounding_beyond
@@ -274,7 +282,8 @@ def _line(
     own_codes = step if dark is None else own_step(dark, step)
     quiet = None if dark is None else noise_below_a_code(dark, own_codes, c)
     bounded = quiet is not None and quiet.read.ci90[0] <= 0
-    if bounded:  # then flats of several levels tell the slope alone, and the dark would bend it
+    cut = dark is not None and is_cut_off(dark, c) and not hidden_in_a_code(dark, own_codes, c)
+    if bounded or cut:  # then flats of several levels tell the slope alone, and the dark would bend it
         line = fit_line([level for level in levels if not level.known_signal], step**2 / 12)
         if line is not None and line.slope.stderr < _TELLS * line.slope.value:
             return line

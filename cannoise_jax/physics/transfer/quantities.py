@@ -129,6 +129,8 @@ def _with_rows(
     pixel, rows included."""
     if isinstance(pixels, NotMeasurable):
         return pixels
+    if is_cut_off(dark, c) and not hidden_in_a_code(dark, step, c):
+        return NotMeasurable(CUT_OFF)
     values = site(each, c)
     rows_error = np.sqrt(2 / dark.row_means[1:, :, 0].size)
     if noise_below_a_code(dark, step, c) is not None:
