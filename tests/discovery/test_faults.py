@@ -57,7 +57,7 @@ def test_darks_cut_off_at_zero_are_said_as_calibrating_refuses_them():
     assert not any("read noise" in line for line in report["not_measured"])  # once is enough
     assert "black_clipping" in found.findings
     text = page(found, report)
-    assert "Dark.h5: darks are cut off at 0" in text.split("Gain and read noise")[0]
+    assert "dark.h5: darks are cut off at 0" in text.split("Gain and read noise")[0]
 
 
 def test_a_gain_is_not_measured_where_noise_does_not_grow_with_the_light():

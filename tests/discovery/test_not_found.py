@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from cannoise_jax.discovery.report.not_found import absorbed_by, asked_of_a_curve
+from cannoise_jax.discovery.report.not_found import absorbed_by, asked_of_a_curve, still_differs
 
 CURVE, BENDS = "variance_curve", "bends"
 
@@ -44,3 +44,40 @@ def test_no_limit_stands_for_a_bend_that_the_means_did_not_bear_out():
 )
 def test_limits_stand_where_no_curve_without_a_name_was_held_against_means(found):
     assert asked_of_a_curve(run(**found)) == () and absorbed_by(run(**found), "bent") == []
+
+
+def differing(*lines):
+    """A run that asked for one kind of effect, and what its draws still differ in."""
+    after = SimpleNamespace(
+        differences=[SimpleNamespace(what=w, time=t, sign=s, note=n) for w, t, s, n in lines]
+    )
+    return SimpleNamespace(remains=SimpleNamespace(after=after))
+
+
+@pytest.mark.parametrize(
+    ("axes", "line", "excluded"),
+    [
+        (("column", "frozen", "log-normal variance"), ("noise unlike from line to line", "columns"), False),
+        (("row", "frozen", "log-normal variance"), ("noise unlike from line to line", "columns"), True),
+        (("pixel", "frozen", "log-normal variance"), ("pixels noisier than the others", ""), False),
+        (("pixel", "frozen", "white"), ("fixed pattern of single pixels", ""), False),
+        (("pixel", "redrawn", "white"), ("fixed pattern of single pixels", ""), True),
+        (("pixel", "frozen", "sparse"), ("hot pixels", ""), False),
+        (("pixel", "frozen", "sparse", "signal"), ("hot pixels", ""), True),
+        (("row", "redrawn", "white"), ("rows", ""), False),
+        (("row", "frozen", "white"), ("rows", ""), True),
+    ],
+)
+def test_no_limit_stands_for_what_still_differs(axes, line, excluded):
+    over, time, law, *scales = axes
+    what, note = line
+    run = differing((what, "frame to frame" if what == "rows" else "fixed", 1, note))
+    own = SimpleNamespace(law=law, varies_over=over, time=time, scales=scales[0] if scales else "additive")
+    signature = SimpleNamespace(name="looked", mechanism="asked", axes=own)
+    run.first = SimpleNamespace(signatures=(signature,))
+    run.fitted = SimpleNamespace(first=SimpleNamespace(scores={"looked": None}))
+    assert still_differs(run, "asked") == ([] if excluded else [what])
+    run.remains.after.differences[0].sign = -1
+    assert still_differs(run, "asked") == []
+    run.remains = None
+    assert still_differs(run, "asked") == []

@@ -137,7 +137,7 @@ def check_report(r, ids=IDS):
     known = [g for g in gains if g is not None]
     assert known == sorted(known, reverse=True) and gains == known + [None] * (len(gains) - len(known))
     for n in r["not_found"]:
-        assert set(n) - {"ambiguous", "absorbed_by"} == {"mechanism", "smallest_detectable"}
+        assert set(n) - {"ambiguous", "absorbed_by", "still_differs"} == {"mechanism", "smallest_detectable"}
         if n["smallest_detectable"] is not None:
             check_measured(n["smallest_detectable"], interval=False)
             assert n["smallest_detectable"]["value"] > 0

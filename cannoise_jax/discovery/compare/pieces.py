@@ -94,7 +94,7 @@ def structure(compared: Compared, j: Judgement, found: np.ndarray, time: str) ->
         best = fine[np.argmax(np.abs(j.z[fine]))]
         nats = units * pixels / 2 * (level - 1 - np.log(level))
         simulated = scale * float(np.sqrt(b / pixels * pixels / np.sum(count[count >= pixels / 64 / 4])))
-        what = "fixed pattern of single pixels" if time == words.STATIC else "noise of a pixel"
+        what = words.OF_PIXELS if time == words.STATIC else "noise of a pixel"
         recorded = simulated * np.sqrt(level)
         if time == words.STATIC:
             recorded, simulated = _beyond(recorded, scale), _beyond(simulated, scale)

@@ -9,6 +9,9 @@ from cannoise_jax.signatures.bank import MOMENTS, Scale
 TEMPORAL, STATIC = "frame to frame", "fixed"
 """What is redrawn in every frame, and what stays."""
 MOMENT_UNITS = ("of the variance", "skewness", "excess kurtosis")
+OF_PIXELS, HOT, DARK = "fixed pattern of single pixels", "hot pixels", "dark pixels"
+NOISIER, LINES_UNLIKE = "pixels noisier than the others", "noise unlike from line to line"
+"""Lines that are of one kind of effect."""
 _PLAIN = 1e6
 """Numbers from which on are written with an exponent."""
 _NOTHING = 1e-4
@@ -89,7 +92,7 @@ def moments(order: int, time: str) -> list[tuple[str, Callable[[int], bool]]]:
     smooth = len(MOMENTS) - 3
     if order == 0:
         name = "noise" if time != STATIC else "fixed pattern"
-        alone = "fixed pattern of single pixels" if time == STATIC else "noise of a pixel"
+        alone = OF_PIXELS if time == STATIC else "noise of a pixel"
         return [
             (alone, lambda k: k == 0),
             (f"{name} uneven over the frame", lambda k: 0 < k < smooth),
@@ -116,7 +119,7 @@ def tail(limit: float) -> tuple[str, str]:
 def unsteady(chance: float, above: bool) -> tuple[str, str]:
     """Pixels whose mean square lies beyond a chance."""
     if above:
-        return "pixels noisier than the others", f"beyond a chance of {chance:g}"
+        return NOISIER, f"beyond a chance of {chance:g}"
     return "pixels quieter than the others", f"below a chance of {chance:g}"
 
 
@@ -133,7 +136,7 @@ def levels(index: int) -> tuple[str, str]:
 
 def standing_out(limit: float) -> tuple[str, str]:
     """Pixels beyond so many standard deviations of the mean of the frames."""
-    return "hot pixels" if limit > 0 else "dark pixels", f"{abs(limit):g} sigma of the mean and more"
+    return HOT if limit > 0 else DARK, f"{abs(limit):g} sigma of the mean and more"
 
 
 def rails(index: int) -> tuple[str, str]:
@@ -163,7 +166,7 @@ def line_memory(rows: bool, lag: int) -> tuple[str, str]:
 
 def line_noise(index: int) -> tuple[str, str]:
     """Noise of the pixels of lines, one line against the others."""
-    return "noise unlike from line to line", ("rows", "columns")[index]
+    return LINES_UNLIKE, ("rows", "columns")[index]
 
 
 def smooth(name: str) -> tuple[str, str]:

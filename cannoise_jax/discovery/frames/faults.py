@@ -49,7 +49,16 @@ def fault_lines(found: Mapping[float | None, Faults]) -> list[str]:
         lines = (
             f"{wrong.lines}: defects, for which there is no name among the findings" if wrong.lines else ""
         )
-        plain = wrong.cut_off, *wrong.stated, wrong.unlit, lines, wrong.longer, wrong.uneven, wrong.spots
+        plain = (
+            wrong.cut_off,
+            *wrong.stated,
+            wrong.unlit,
+            lines,
+            wrong.longer,
+            wrong.uneven,
+            wrong.spots,
+            wrong.lamp,
+        )
         out += [line for line in (moves, doubted, *(f"{of}{line}" for line in plain if line)) if line]
     return out
 

@@ -15,7 +15,7 @@ from cannoise_jax.discovery.proof.prove import Proof
 from cannoise_jax.discovery.report import light, outcome
 from cannoise_jax.discovery.report.card import card
 from cannoise_jax.discovery.report.excess import too_much
-from cannoise_jax.discovery.report.not_found import absorbed_by, detectable
+from cannoise_jax.discovery.report.not_found import absorbed_by, detectable, still_differs
 from cannoise_jax.discovery.report.wording import sentence
 from cannoise_jax.discovery.result import Result
 from cannoise_jax.discovery.search.declare import kinds
@@ -70,8 +70,8 @@ def document(
     findings: by held-out gain, largest first, see `finding`.
     not_found: mechanism and smallest_detectable, the amplitude (value, unit) that this run finds with
       probability 0.5, None where it is no strength; ambiguous marks members of an ambiguous finding's group,
-      part_of what is the slow part of a finding, absorbed_by findings that took away what spoke for it (then
-      nothing excludes it).
+      part_of what is the slow part of a finding, absorbed_by findings that took away what spoke for it, and
+      still_differs lines of `remains` that are of its kind (then nothing excludes it).
     before, after: see `quality`; two_sample: see `two_sample`.
     seconds, peak_memory_mb: of the process, given by the caller.
     """
@@ -89,7 +89,8 @@ def document(
         if id in named:
             continue
         absorbed = absorbed_by(diagnosis, id)
-        limit = None if absorbed else detectable(diagnosis, id)
+        differs = [] if absorbed else still_differs(diagnosis, id)
+        limit = None if absorbed or differs else detectable(diagnosis, id)
         smallest = None if limit is None else {"value": limit[0], "unit": limit[1]}
         missing.append(
             {
@@ -98,6 +99,7 @@ def document(
                 **({"ambiguous": True} if id in listed else {}),
                 **({"part_of": parts[id]} if id in parts else {}),
                 **({"absorbed_by": absorbed} if absorbed and id not in parts else {}),
+                **({"still_differs": differs} if differs and id not in parts else {}),
             }
         )
     inputs = []

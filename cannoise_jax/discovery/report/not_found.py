@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from cannoise_jax.discovery.compare import words
+from cannoise_jax.discovery.compare.table import Difference
+from cannoise_jax.discovery.proof.white_maps import NOISE
 from cannoise_jax.discovery.result import Result
 from cannoise_jax.discovery.search.name import UNKNOWN
 from cannoise_jax.signatures.curve import VARIANCE_CURVE
 from cannoise_jax.signatures.handed import Asked
 from cannoise_jax.signatures.multiplicity import SHARED
-from cannoise_jax.signatures.signature import NO_STRENGTH, Signature
+from cannoise_jax.signatures.signature import NO_STRENGTH, Axes, Signature
 
 
 def detectable(diagnosis: Result, mechanism: str) -> tuple[float, str] | None:
@@ -29,6 +32,35 @@ def detectable(diagnosis: Result, mechanism: str) -> tuple[float, str] | None:
     ]
     best = min(found, default=np.inf)
     return (float(best), diagnosis.terms[mechanism].unit) if np.isfinite(best) else None
+
+
+def still_differs(diagnosis: Result, mechanism: str) -> list[str]:
+    """Lines of what still differs that are of the kind of a mechanism, so that no limit says that it is not
+    there: they hold more of it than chance, of whatever cause."""
+    if diagnosis.remains is None:
+        return []
+    scores = diagnosis.fitted.first.scores
+    mine = [s.axes for s in diagnosis.first.signatures if s.mechanism == mechanism and s.name in scores]
+    told = diagnosis.remains.after.differences
+    return list(dict.fromkeys(d.what for d in told if any(_of_the_kind(d, axes) for axes in mine)))
+
+
+def _of_the_kind(d: Difference, axes: Axes) -> bool:
+    """Whether a line is of what an effect of these axes makes, and of little else. A simulator that has too
+    much of it lacks none."""
+    if d.sign < 0:
+        return False
+    over, stays = axes.varies_over, axes.time == "frozen"
+    if axes.law == NOISE:
+        lines = over in ("row", "column") and d.what == words.LINES_UNLIKE and d.note == f"{over}s"
+        return lines or (over == "pixel" and d.what == words.NOISIER)
+    if over in ("row", "column") and axes.law == "white":
+        return d.what == f"{over}s" and (d.time == words.STATIC) == stays
+    if over != "pixel" or not stays:
+        return False
+    if axes.law == "sparse":
+        return d.what == (words.DARK if axes.scales == "signal" else words.HOT)
+    return axes.law == "white" and d.what == words.OF_PIXELS
 
 
 def asked_of_a_curve(diagnosis: Result) -> tuple[Signature, ...]:

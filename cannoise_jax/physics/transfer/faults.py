@@ -14,6 +14,7 @@ from cannoise_jax.physics.transfer.estimators.pick import brightest_flat, darkes
 from cannoise_jax.physics.transfer.fit import Line
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.physics.transfer.lost_bit import lost_bit
+from cannoise_jax.physics.transfer.other_light import other_light_line
 from cannoise_jax.physics.transfer.quantities import SET_ASIDE, set_aside
 from cannoise_jax.physics.transfer.rails import STILL, contradicted_black, cut_off
 from cannoise_jax.physics.transfer.regions import drifting_halves, uneven_halves, uneven_noise
@@ -46,6 +47,7 @@ class Faults(NamedTuple):
     a flat. longer: the read noise is that of long darks. uneven: it, or the gain, differs between parts of
     the frame. halves: its darks have two, which move against each other. defects: pixels that show nothing.
     lines: columns and rows far from all others. shadows: of dust. spots: of light, that move over flats.
+    lamp: a flat has another light than a longer one of the same lamp.
     """
 
     cut_off: str = ""
@@ -61,6 +63,7 @@ class Faults(NamedTuple):
     lines: str = ""
     shadows: str = ""
     spots: str = ""
+    lamp: str = ""
     colours: str = ""
     lights: str = ""
     charge: str = ""
@@ -98,7 +101,7 @@ def faults(statistics: Sequence[FrameStatistics], lines: Sequence[Line | NotMeas
         flats=flats_moving(parted) if drawn else "", unlit=unlit_line(parted), longer=_longer(statistics),
         uneven=_uneven(parted), halves=drifting_halves(darkest(parted)), defects=defects_line(parted),
         lines=bad_line(parted), shadows=shadows_line(parted),
-        spots=spots_line(parted),
+        spots=spots_line(parted), lamp=other_light_line(parted),
     )  # fmt: skip
 
 
