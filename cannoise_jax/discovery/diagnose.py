@@ -152,10 +152,12 @@ def diagnose(
     raw = splits_of(judged.capture, judged.stated, judged.drawn, searched(entries))
     own = own_effects(judged.drawn, entries, judged.own_names(allowed, entries), log_alpha)
     too_much = excess(own, raw.looking, judged.held)
+    given = judged
     judged, raw, own, kept = less_of(
         too_much, judged, raw, own, entries=entries, allowed=allowed, log_alpha=log_alpha, key=key
     )
-    splits = raw.less(partial(without_own, own=own))
+    more = frozenset(e.mechanism for e in too_much) if judged is given else frozenset()
+    splits = raw.less(partial(without_own, own=own, too_much=more))
     first = splits.looking
 
     looked, alone = sum(len(a) for a, _ in splits.frames), "" if splits.can_prove else ", none held back"

@@ -91,14 +91,16 @@ QUANTIZATION = Mechanism(
 
 def _skip_codes(key, x, values, maps, context: Context):
     index = jnp.round(x / context.code_step)
-    missing = jnp.mod(index - jnp.round(values["phase"]), jnp.round(values["period"])) == 0
-    side = jnp.where(jax.random.uniform(key, x.shape) < values["above"], 1.0, -1.0)
-    return (index + missing * side) * context.code_step
+    rare = jnp.mod(index - jnp.round(values["phase"]), jnp.round(values["period"])) == 0
+    chance, moved = jax.random.uniform(key, x.shape), 1 - values["kept"]
+    side = jnp.where(chance < moved * values["above"], 1.0, -1.0) * (chance < moved)
+    return (index + rare * side) * context.code_step
 
 
 def _skip_effect(values, maps, context):
-    # One code in `period` moves by a step, up or down.
-    mean = (2 * values["above"] - 1) * context.code_step / jnp.round(values["period"])
+    # One code in `period` moves by a step, up or down, or stays.
+    moved = (1 - values["kept"]) * context.code_step / jnp.round(values["period"])
+    mean = (2 * values["above"] - 1) * moved
     return Effect(mean=mean, lattice={"missing_period": jnp.round(values["period"])})
 
 
@@ -106,9 +108,10 @@ MISSING_CODES = Mechanism(
     id="missing_codes",
     point=Point("converter", "code", "frame", "frozen"),
     parameters=(
-        Parameter("period", "code steps", 8.0, 2.0, 4096.0, "one code in so many never occurs"),
+        Parameter("period", "code steps", 8.0, 2.0, 4096.0, "one code in so many is missing, or rarer"),
         Parameter("phase", "code steps", 0.0, 0.0, 4095.0, "which of them, counted from code 0", 0.0),
         Parameter("above", "1", 1.0, 0.0, 1.0, "share of its values on the next code above, else below", 1.0),
+        Parameter("kept", "1", 0.0, 0.0, 1.0, "share of its values that stay", 0.0),
     ),
     equation=r"k \to k \pm [\,k \ \mathrm{mod}\ p = \varphi\,]",
     sentence="The camera multiplied the codes after conversion, or its converter skips some: the histogram "

@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 
 import numpy as np
 from scipy import stats
 
 from cannoise_jax.physics.robust import median
-from cannoise_jax.signatures.events import Heights, Spikes, limit_of, spike_score, without_spikes
+from cannoise_jax.signatures.events import (
+    Heights,
+    Spikes,
+    find,
+    heights,
+    limit_of,
+    restless,
+    spike_score,
+    without_spikes,
+)
 from cannoise_jax.signatures.fields import Fields
+from cannoise_jax.signatures.handed import Many
 from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import CONTRASTS, STATIC, Axes, Signature
@@ -22,6 +31,8 @@ _SINGLE_E = 10.0
 
 _ENOUGH = 20
 """Spikes from which on their sizes tell of what law they are."""
+_LEAST_COUNTED = 0.2
+"""Share of the spikes that is taken to be counted at least."""
 _AS_LARGE = 2.0
 """Gain by variance over the mean size of a multiplied electron, at most: the excess noise factor is in it."""
 
@@ -42,7 +53,8 @@ def _multiplied(spikes: Heights) -> float:
 
 
 def hidden(fields: tuple[Fields, ...], found: list[Spikes], spikes: Heights) -> float:
-    """How many single electrons are freed for each that stands out of the noise; infinite where none does."""
+    """How many single electrons are freed for each that stands out of the noise and is counted; infinite
+    where none does."""
     by_number, size = {f.number: f for f in fields}, _multiplied(spikes)
     seen = frames = 0.0
     for s in found:
@@ -55,7 +67,30 @@ def hidden(fields: tuple[Fields, ...], found: list[Spikes], spikes: Heights) -> 
             share = float(np.mean(np.where(f.usable, stats.norm.sf(limit_of(f) - height), 0.0)))
         seen += s.frames * share
         frames += s.frames
-    return frames / seen if seen > _NONE_SEEN * frames else float("inf")
+    if seen <= _NONE_SEEN * frames:
+        return float("inf")
+    return frames / seen / _counted(found)
+
+
+def _counted(found: list[Spikes]) -> float:
+    """Share of the spikes that are counted: those whose pixel is restless in another frame as well are not,
+    which by chance are as many as pixels are."""
+    still = [1 - float(restless(s).mean()) for s in found]
+    own = [1 - (1 - q) * (1 - 1 / s.frames) for q, s in zip(still, found, strict=True)]
+    kept = [own[n] * float(np.prod(still[:n] + still[n + 1 :])) for n in range(len(found))]
+    number = [float(s.up.sum()) for s in found]
+    return max(float(np.average(kept, weights=number)), _LEAST_COUNTED) if sum(number) else 1.0
+
+
+def clocking_score(fields: Many) -> Score[float] | None:
+    """Electrons per pixel and frame. Payload: electrons of the gain that variance tells which a multiplied
+    one is as large as."""
+    score = spike_score(fields, kind="clocking", hidden=hidden)
+    if score is None:
+        return None
+    spikes = heights(fields, [s for s in find(fields) if s.dark])
+    size = _multiplied(spikes)
+    return score.replace(payload=size / float(spikes.gain.mean()) if size else 1.0)
 
 
 def clocking(*, name: str, mechanism: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]) -> Signature:
@@ -70,11 +105,12 @@ def clocking(*, name: str, mechanism: str, covers: tuple[str, ...], lifted_by: t
         name=name,
         axes=Axes("pixel", "pixel", "redrawn", "additive", "sparse"),
         reads=CONTRASTS | STATIC | {"signal"},
-        score=partial(spike_score, kind="clocking", hidden=hidden),
+        score=clocking_score,
         absorb=without_spikes,
-        simulate=carried(lambda s: {"charge_e": s.amplitude}),
+        simulate=carried(lambda s: {"charge_e": s.amplitude * (s.payload or 1.0)}),
         covers=covers,
         lifted_by=lifted_by,
         rare=True,
         readings=readings,
+        counted=True,
     )

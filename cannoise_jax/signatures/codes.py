@@ -230,10 +230,13 @@ def combed(
         return shapes if share > _MOVED else ()
 
     def simulate(found: Found) -> Addition | None:
-        """Codes that are only rarer, or doubled: the camera model knows of none."""
+        """Codes that are doubled, or whose distances are no whole numbers: the camera model knows of none."""
         value, where = found.score.amplitude, found.score.where
-        short = found.score.parameters["shortfall"][0] < 0.7 or value % 1
-        return None if short else Addition({parameter: value, **{n: where[n] for n in ("phase", "above")}})
+        short = found.score.parameters["shortfall"][0]
+        if short <= 0 or value % 1:
+            return None
+        beside = {n: where[n] for n in ("phase", "above")}
+        return Addition({parameter: value, **beside, "kept": kept_of(max(1 - short, 0.0), value)})
 
     def says(entry: dict[str, Any]) -> tuple[str, tuple[float, float]]:
         lost = entry["parameters"]["shortfall"]
@@ -254,6 +257,13 @@ def combed(
         simulate=simulate,
         says=says,
     )
+
+
+def kept_of(held: float, period: float) -> float:
+    """Share of a code's values that stay on it, of one that holds this much of what those beside it hold:
+    these have got what it lost, each of them half, and all of it where every second code is one of them."""
+    got = 1.0 if period == 2 else 0.5
+    return (1 + got) * held / (1 + got * held)
 
 
 def coarse(recorded: Recorded, *, name: str, parameter: str, covers: tuple[str, ...]) -> Signature:

@@ -124,7 +124,7 @@ class Count(NamedTuple):
     tracks: int
 
 
-def _restless(spikes: Spikes) -> np.ndarray:
+def restless(spikes: Spikes) -> np.ndarray:
     """Pixels `[h, w]` that spike or are noisy in a recording."""
     return spikes.up.any(0) | spikes.down.any(0) | spikes.noisy
 
@@ -132,7 +132,7 @@ def _restless(spikes: Spikes) -> np.ndarray:
 def count(found: list[Spikes]) -> Count:
     """Counts over all recordings."""
     size = found[0].noisy.shape
-    each = [_restless(s) for s in found]
+    each = [restless(s) for s in found]
     hit, still = np.sum(each, axis=0), [1 - float(pixels.mean()) for pixels in each]
     up = down = back = pairs = tracks = 0
     chance = met = 0.0
@@ -203,6 +203,11 @@ def log_p_of(found: list[Spikes], seen: Count, kind: str) -> float:
     return min(0.0, max(noise, sides, own))
 
 
+_OF_UNSEEN = 0.1
+"""Share of the events that do not stand out by which their number may be wrong: it follows from a law of
+their sizes."""
+
+
 class Heights(NamedTuple):
     """Spikes above the level of their pixels, DN: how far, the limit from which on they are spikes, the noise
     of their pixel, and the gain, each of every spike."""
@@ -259,12 +264,13 @@ def spike_score(
         events, charge = _of_tracks(fields, found, seen, charge)
     all_of = unit * times if np.isfinite(times) else unit
     where = {"axis": "pixel", "pixels": seen.up}
+    unseen = _OF_UNSEEN * max(1 - 1 / times, 0.0) if np.isfinite(times) and times > 0 else 0.0
     return Score(
         log_p=max(log_p, LEAST_LOG_P),
         gain=max(gain, 0.0),
         penalty=float(np.log(max(size, 2))),
         amplitude=events * all_of,
-        error=float(np.sqrt(max(events, 1))) * all_of,
+        error=float(np.hypot(np.sqrt(max(events, 1)), unseen * events)) * all_of,
         shift=3 * unit * times,
         power=1,
         parameters={"charge_e": (charge, "e-", charge / np.sqrt(max(events, 1)))},
@@ -285,7 +291,7 @@ def _of_tracks(
     """How many particles have hit, and the mean charge of one; by the spikes that stand alone, see `charge`,
     where there are few frames."""
     by_number = {f.number: f for f in fields}
-    often = np.sum([_restless(s) for s in found], axis=0) > 1
+    often = np.sum([restless(s) for s in found], axis=0) > 1
     # Beside pixels that jump: by chance alone no more spikes come back than these.
     comes_back = seen.back > stats.poisson.isf(1e-3, seen.again * (seen.up + seen.back))
     told = [

@@ -125,10 +125,11 @@ class Signature:
     says(entry) -> the first words of its sentence and their interval. kind(score) -> of what has no name,
       what it is in words, where the law of its axes says too little. single_pixels: whether it is about
       pixels that others set aside. restates: what it corrects of what was stated. of_gain: whether variance
-      tells of it and the gain the product alone, so that the one is as wrong as the other. approximate:
-      whether what it takes out is close to the effect, not all of it, so that what has no name sees the rest.
-      form_free: whether its form differs from camera to camera in ways that the model does not follow, so
-      that much of what it bears on may be left.
+      tells of it and the gain the product alone, so that the one is as wrong as the other. counted: whether
+      its electrons were counted, and not told from DN by the gain. approximate: whether what it takes out is
+      close to the effect, not all of it, so that what has no name sees the rest. form_free: whether its form
+      differs from camera to camera in ways that the model does not follow, so that much of what it bears on
+      may be left.
     series(field, score) -> one recording as the Gaussian noise of lines or along the scan that it names;
       None: it names none, or none there.
     off(fields, score, rng) -> by number of the recording, what it says that the mean is off the reference by,
@@ -180,6 +181,7 @@ class Signature:
     single_pixels: bool = False
     restates: Literal["gain", "read", None] = None
     of_gain: bool = False
+    counted: bool = False
     series: Callable[[Fields, Score], Series | None] = NO_SERIES
     off: Callable[[Many, Score, np.random.Generator], dict[int, np.ndarray]] | None = None
     speaks_for: frozenset[str] = frozenset()

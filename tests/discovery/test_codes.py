@@ -1,10 +1,12 @@
 """The lattice of codes: combs of every kind, and histograms that are uneven without one."""
 
+import jax
 import numpy as np
 import pytest
 
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.frames.splits import splits_of
+from cannoise_jax.physics.core.sensor import Settings
 from cannoise_jax.signatures.codes import Codes, comb_score
 from tests.discovery.capture import SIZE, capture_set
 
@@ -106,3 +108,26 @@ def test_pixels_that_jump_are_told_beside_a_comb(share):
     found = diagnose(capture_set(5, alter, kinds="df"), compare=False).findings
     assert "missing_codes" in found
     assert ("rts" in found) == bool(share)
+
+
+def test_codes_that_are_rarer_are_in_the_simulator_and_as_rare_there():
+    """Thresholds of a converter that lie uneven make every second code narrower."""
+
+    def narrower(rng):
+        def change(dn, *_):
+            below = np.floor(dn)
+            first = np.where(below % 2 == 0, 0.56, 0.44)  # even codes end later
+            return below + (dn - below > first)
+
+        return change
+
+    found = diagnose(capture_set(6, narrower, kinds="df", frames=8), compare=False)
+    assert found.findings == ["missing_codes"]
+    drawn = found.model.sample(jax.random.key(1), np.zeros(SIZE, np.float32), Settings(iso=100.0, frames=16))
+    darks = (r for r in found.capture.recordings if r.kind == "dark")
+    real = np.concatenate([np.asarray(r.frames).ravel() for r in darks])
+
+    def odd(codes):
+        return np.mean(np.asarray(codes) % 2)
+
+    assert odd(real) < 0.46 and odd(drawn) == pytest.approx(odd(real), abs=0.01)

@@ -5,7 +5,7 @@ import pytest
 
 from cannoise_jax.discovery.frames.splits import splits_of
 from cannoise_jax.discovery.proof.excess import Excess, excess
-from cannoise_jax.discovery.proof.judged import own_effects, searched
+from cannoise_jax.discovery.proof.judged import own_effects, searched, without_own
 from cannoise_jax.discovery.proof.lowered import shares
 from cannoise_jax.discovery.report.excess import too_much
 from cannoise_jax.discovery.report.page import verdict
@@ -154,3 +154,15 @@ def test_too_many_pixels_of_another_unit_go_as_a_whole():
     (found,) = hot_of(warm(0.4), warm(2.0, elsewhere=True))
     assert found.elsewhere and found.sign == "too much"
     assert shares([found]) == {"hot_pixels": 0.0}
+
+
+def test_rows_that_recordings_lack_are_no_read_noise_that_they_lack():
+    """Of a function, in which nothing can be lowered, the read noise that its draws show holds its rows."""
+    own_set, recorded = capture_set(100, rows(2.0), kinds="df"), capture_set(200, None, kinds="df")
+    own = own_effects(own_set, ENTRIES, NAMES, float(np.log(0.008)))
+    looking = splits_of(recorded, True, own_set, searched(ENTRIES)).looking
+    alike, unlike = (without_own(looking, own, frozenset(n)) for n in ((), ("row_noise",)))
+    (read,) = [s for s in alike.signatures if s.name == "stated_read"]
+    assert read.score(alike.fields).log_p < -10
+    aside = {s.name for s in alike.signatures} - {s.name for s in unlike.signatures}
+    assert aside == {"stated_read", "black_level"}

@@ -112,6 +112,7 @@ def test_the_error_of_a_signed_value_is_its_spread_without_an_effect(name):
 
 UNTOLD = {
     "moving, reference_shift, reference_blur, warm, lag_in_time, row_turns_temporal": "norms, of recordings",
+    "other_response": "zero without such pixels",
     "clocking, hits, corrected, lattice, taps": "zero without an effect, which recordings alone show",
     "telegraph_beside": "of the few pixels that seem to jump",
     "tap_gains": "zero without steps",

@@ -259,6 +259,7 @@ SAMPLE = {
         x
         + np.where((np.round(x / c["step"]) - p["phase"]) % round(p["period"]) == 0, c["step"], 0)
         * np.where(rng.random(x.shape) < p["above"], 1, -1)
+        * (rng.random(x.shape) >= p["kept"])
     ),
     "demosaicing": demosaicing,
     "in_camera_denoising": lambda rng, x, p, m, c: (

@@ -16,6 +16,7 @@ from cannoise_jax.physics.transfer.estimators.noise import heavy_tails
 from cannoise_jax.physics.transfer.frames import frame_statistics
 from cannoise_jax.physics.transfer.photon_transfer import of_all_pixels, transfer_at
 from cannoise_jax.recordings.recording import Recording
+from cannoise_jax.signatures.codes import kept_of
 
 
 def taken(stored, seed=2, levels=(0.0, 600.0, 1400.0, 2400.0)):
@@ -125,6 +126,20 @@ def test_codes_that_are_missing_are_drawn_where_they_are_missing():
     assert not (codes % 8 == 3).any() and {1, 2, 4} <= set(codes % 8)
     middle = counts[96:104]
     assert middle[2] > 1.6 * middle[4]
+
+
+@pytest.mark.parametrize("period", [2, 5])
+@pytest.mark.parametrize("held", [0.0, 0.3, 0.8])
+def test_codes_that_are_rarer_hold_as_much_of_those_beside_them(held, period):
+    model = SensorModel.poisson_gaussian(2.0, 12.0, 200, 4095, "MONO").with_mechanism(
+        "missing_codes", period=float(period), phase=1.0, above=0.4, kept=kept_of(held, period)
+    )
+    drawn = model.sample(jax.random.key(0), np.zeros((96, 96), np.float32), Settings(frames=24))
+    counts = np.bincount(np.asarray(drawn).ravel(), minlength=400)
+    codes = np.arange(180, 221)
+    rare = codes[codes % period == 1]
+    share = counts[rare].sum() / ((counts[rare - 1] + counts[rare + 1]).sum() / 2)
+    assert share == pytest.approx(held, abs=0.02)
 
 
 @pytest.mark.parametrize("factor", (1.1, 1.37, 1.7))

@@ -169,6 +169,22 @@ def test_electrons_that_do_not_stand_out_are_counted(gain, multiplied):
     found = SIGNATURES["clocking"].score(tuple(fields))
     assert found.amplitude == pytest.approx(rate, rel=0.2)
     assert np.isfinite(found.shift)
+    # A camera model draws electrons of the gain that variance tells.
+    assert found.payload == pytest.approx(0.5 if multiplied else 1.0, rel=0.1)
+
+
+def test_electrons_are_counted_where_many_pixels_hold_two_of_them():
+    rng, rate = _RNG(13), 0.03
+    fields = []
+    for f in white(rng, kinds=("dark", "dark"), frames=16, size=SIZE, sigma=4.0):
+        size = (16, *SIZE)
+        frames = rng.standard_normal(size) + rng.poisson(rate, size) * rng.exponential(16.0, size) / 4.0
+        contrasts = np.einsum("nt,tij->nij", helmert(16), frames).astype(np.float32)
+        static = (frames.mean(0) * np.sqrt(16)).astype(np.float32)
+        fields.append(f._replace(contrasts=contrasts, static=static, gain=np.full(4, 32.0)))
+    found = SIGNATURES["clocking"].score(tuple(fields))
+    assert found.amplitude == pytest.approx(rate, rel=0.2)
+    assert abs(found.amplitude - rate) < 3 * found.error
 
 
 @pytest.mark.parametrize("growth, told", [(0.0, False), (0.5, True)])

@@ -244,8 +244,9 @@ def finding(diagnosis: Result, step: Step, proof: Proof) -> dict[str, Any]:
     )
     unit = diagnosis.terms[nearest].unit if nearest != UNKNOWN else _unit(score)
     grown = outcome.grown_gain(diagnosis)
-    value = score.amplitude / _larger(unit, grown)
-    interval = [v / _larger(unit, grown) for v in score.interval90]
+    own_unit = 1.0 if step.named.signature.counted else _larger(unit, grown)
+    value = score.amplitude / own_unit
+    interval = [v / own_unit for v in score.interval90]
     per_pixel = None
     if proof.gain is not None and proof.pixels:
         per_pixel = {
