@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from cannoise_jax.discovery.compare.families import STATIC, STRUCTURE, of
+from cannoise_jax.discovery.compare.families import NEXT_FRAME, NEXT_LINES, STATIC, STRUCTURE, of
 from cannoise_jax.discovery.compare.measure import shared, shared_variance
 from cannoise_jax.discovery.compare.moves import (
     JUMPS,
@@ -334,3 +334,24 @@ def test_lone_values_of_few_codes_do_not_jump_with_the_scale():
     apart = {spread: counts(1.48, spread)[1] / counts(1.45, spread)[1] for spread in (False, True)}
     expected = share(1.48) / share(1.45)
     assert abs(np.log(apart[True] / expected)) < 0.1 < abs(np.log(apart[False] / expected))
+
+
+def test_frames_that_do_not_follow_each_other_tell_no_memory():
+    """Of a camera that is drawn as it is, every fourth frame is held back: they keep less of each other than
+    frames that are drawn in a row."""
+    capture = capture_set(8, remembering(0.9), kinds="d", frames=16)
+
+    def in_a_row(key, clean, settings):
+        rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).tolist())
+        change = remembering(0.9)(rng)
+        dn = 200.0 + 4.5 * rng.standard_normal((settings.frames, *np.shape(clean)))
+        return np.clip(np.round(np.stack([change(f, f, "dark", 0.0) for f in dn])), 0, 16383)
+
+    chosen = ([], list(range(3, 16, 4))), ([], [0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14])
+    apart, looking = (
+        compare_bank(capture, in_a_row, KEY, sets=6, alpha=0.002, held_back=[c] * 2) for c in chosen
+    )
+    families = [{j.family for j in found.judgements} for found in (apart, looking)]
+    assert not {NEXT_FRAME, NEXT_LINES} & families[0] and {NEXT_FRAME, NEXT_LINES} <= families[1]
+    off = [np.abs(j.z).max() for j in looking.judgements if j.family == NEXT_LINES]
+    assert max(off) < 4

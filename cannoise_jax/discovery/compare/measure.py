@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy import stats
 
 from cannoise_jax.discovery.compare.compared import Measured, Statistics
@@ -57,11 +57,17 @@ more than 2 exp(-2 pi^2 0.75^2) = 3e-5 of it, for a normal law)."""
 
 
 def measure(
-    seen: View, level_known: bool, degree: int, variance: Float[np.ndarray, "4"], step: float
+    seen: View,
+    level_known: bool,
+    degree: int,
+    variance: Float[np.ndarray, "4"],
+    step: float,
+    follows: Bool[np.ndarray, "m"] | None = None,
 ) -> Measured:
     """Every family of one view. level_known: whether the mean of the frames is the simulator's to tell;
     degree: of the surface that was taken out of the static map; variance: of a pixel of every site, DN^2;
-    step: of the codes, DN."""
+    step: of the codes, DN; follows: whether every frame but the first was taken right after the one before
+    it here, None: all were. Of those that were not nothing tells what a frame keeps of another."""
     families: dict[str, Statistics] = {}
     n, size = len(seen.z), seen.kept.size
     coarse = is_coarse(variance, step)
@@ -81,10 +87,11 @@ def measure(
         frames = len(seen.single)
         if frames > 1:
             families[IN_ONE_FRAME] = _count(seen.single)
-        if frames > 2:
+        pairs = np.ones(frames - 1, bool) if follows is None else follows[: frames - 1]
+        if frames > 2 and pairs.any():
             inner = seen.z[: frames - 1]
-            families[NEXT_FRAME] = _next(seen._replace(z=inner), share)
-            lines, width = lines_after(inner, seen.kept)
+            families[NEXT_FRAME] = _next(seen._replace(z=inner), share, pairs)
+            lines, width = lines_after(inner, seen.kept, pairs)
             families[NEXT_LINES] = Statistics("mean", lines[None], width)
     families[RAILS] = _count(seen.rails)
     broad = np.repeat([np.sqrt(np.mean(variance)) > BROAD * m * step for m in RESIDUES], RESIDUES)
@@ -234,8 +241,8 @@ def _tails(z: np.ndarray) -> np.ndarray:
     return np.array([(z < t).sum() if t < 0 else (z > t).sum() for t in TAIL_SIGMAS], float)
 
 
-def _next(seen: View, share: float) -> Statistics:
-    """Mean products of a frame with the next one at small lags, whole frames' means out.
+def _next(seen: View, share: float, pairs: Bool[np.ndarray, "m"]) -> Statistics:
+    """Mean products of a frame with the next one at small lags, whole frames' means out; of these pairs.
 
     Frames about their mean are alike by the less the more of them there are: in products of N of them with
     others lies -1/(N - 1) of their products with themselves, which is put back. Neighbours that are alike in
@@ -255,13 +262,14 @@ def _next(seen: View, share: float) -> Statistics:
     before = None
     for t in range(n + 1):
         frame = bank.without_lines(np.tensordot(matrix[:, t], seen.z, 1)) * kept
-        if before is not None:
+        if before is not None and pairs[t - 1]:
             total += products(before, frame)
         if t < asked:
             own += products(frame, frame)
         before = frame
-    variance = np.array([1 / ((h - dy) * (w - abs(dx)) * share * n) for dy, dx in NEXT_LAGS])
-    total = total / n + own / asked / n
+    number = int(pairs.sum())
+    variance = np.array([1 / ((h - dy) * (w - abs(dx)) * share * number) for dy, dx in NEXT_LAGS])
+    total = total / number + own / asked / n
     total /= max(float(np.mean(seen.z**2)) / share, 1e-9)
     return Statistics("mean", total[None], variance)
 

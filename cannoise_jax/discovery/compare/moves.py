@@ -80,10 +80,12 @@ def two_levels(z: Float[np.ndarray, "n p"], scale: Float[np.ndarray, "p"]) -> Fl
 
 
 def lines_after(
-    z: Float[np.ndarray, "n h w"], kept: Bool[np.ndarray, "h w"]
+    z: Float[np.ndarray, "n h w"], kept: Bool[np.ndarray, "h w"], pairs: Bool[np.ndarray, "n"] | None = None
 ) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
     """Correlation of the lines of a frame with those of the next at `LINE_LAGS`, rows first, and their
-    variance where frames have nothing of each other, whatever the spectrum of the lines is."""
+    variance where frames have nothing of each other, whatever the spectrum of the lines is. pairs: of a
+    frame and the next that are looked at; None: all."""
+    pairs = np.ones(len(z), bool) if pairs is None else pairs
     out, variance = [], []
     for axis in (1, 0):
         weight = np.maximum(kept.sum(axis), 1)
@@ -91,7 +93,7 @@ def lines_after(
         profiles -= profiles.mean(1, keepdims=True)
         power = np.mean(np.abs(np.fft.fft(profiles, axis=1)) ** 2, 0)
         level = max(float(np.mean(profiles**2)), 1e-12)
-        first, second = profiles[:-1], profiles[1:]
+        first, second = profiles[:-1][pairs], profiles[1:][pairs]
         side = profiles.shape[1]
         for lag in LINE_LAGS:
             a = first[:, max(-lag, 0) : side - max(lag, 0)]

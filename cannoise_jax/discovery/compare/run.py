@@ -147,14 +147,12 @@ def _one(
     variance = np.array([float(np.mean(v)) for v in noise.variance])
     degree = light.degree if light is not None else 0
     coarse = is_coarse(variance, step)
-    real = measure(view(raw, noise, fitted, light, step, coarse), level, degree, variance, step)
+    follows = np.diff(chosen[1]) == 1
+    real = measure(view(raw, noise, fitted, light, step, coarse), level, degree, variance, step, follows)
     simulated = []
     while raws:
-        simulated.append(
-            measure(
-                view(raws.pop(0), noise, means.pop(0), light, step, coarse), level, degree, variance, step
-            )
-        )
+        seen = view(raws.pop(0), noise, means.pop(0), light, step, coarse)
+        simulated.append(measure(seen, level, degree, variance, step, follows))
     sigma, log_sigma = np.sqrt(variance), float(np.mean(np.log(noise.sigma(fitted))))
     signal = float(np.mean(fitted) - np.mean(r.black_level))
     return (
