@@ -19,12 +19,12 @@ from cannoise_jax.physics.robust import median, robust_std
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.fields import Fields, channel_index
 from cannoise_jax.signatures.group_sums import area_sums
-from cannoise_jax.signatures.handed import Addition, Found
+from cannoise_jax.signatures.handed import Addition, Asked, Found
 from cannoise_jax.signatures.levels import from_means
 from cannoise_jax.signatures.patterns import pixel_sums
 from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.score import LEAST_LOG_P, Score, chi2_log_sf
-from cannoise_jax.signatures.signature import CONTRASTS, ONE_FACTOR, STATIC, Axes, Signature
+from cannoise_jax.signatures.signature import BY_SHIFT, CONTRASTS, ONE_FACTOR, STATIC, Axes, Signature
 
 _FAR, _SURELY = 8.0, 3.0
 """Standard deviations beyond which a value is no part of the noise, and from which on a map shows."""
@@ -366,4 +366,12 @@ def warming(
         covers=(),
         hides=lambda score: offsets if _moves_offsets(score) else (),
         lifted_by=lifted_by,
+        detectable=_in_kelvin,
     )
+
+
+def _in_kelvin(asked: Asked, score: Score, mechanism: str) -> float:
+    """None where no look holds darks of several exposures: of what does not grow with them nothing says how
+    much of it is dark current, which kelvin are told by."""
+    told = [known for fields in asked.looks if (known := dark_map(fields)) is not None]
+    return BY_SHIFT(asked, score, mechanism) if any(known.thermal for known in told) else float("inf")

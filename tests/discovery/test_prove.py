@@ -28,7 +28,7 @@ from cannoise_jax.recordings.recording import CaptureSet
 from cannoise_jax.signatures.fields import frame_fields
 from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.waves import wave_score
-from tests.discovery.capture import capture_set, column_pattern, frame_offsets, row_offsets
+from tests.discovery.capture import SIZE, capture_set, column_pattern, frame_offsets, row_offsets
 from tests.discovery.looks import SIGNATURES, white
 
 
@@ -62,6 +62,20 @@ def test_gain_of_row_noise_is_that_of_the_exact_gaussian_likelihood(sigma):
         exact += float(np.sum(0.5 * (squares / total**2 + w * np.log(total**2) - shared - log_det)))
     assert value == pytest.approx(exact, rel=0.05)
     assert low < value < high and high - low < value
+
+
+def test_doubt_about_a_pattern_is_no_gain_in_noise_with_tails():
+    """Of single bright values, which the variance of most pixels does not hold, it is a better law alone."""
+
+    def bright(rng):
+        return lambda dn, *_: dn + (rng.random(dn.shape) < 0.01) * rng.exponential(20.0, dn.shape)
+
+    first, second, chosen = halves(capture_set(41, bright, kinds="d", frames=12))
+    law = Predicted("additive", 0.01 * np.random.default_rng(1).standard_normal(SIZE), 0.3)
+    with_it, left_out, none = (score_frames(first, second, chosen, m) for m in ([law], [law.left_out], []))
+    assert frame_interval(with_it, none)[1] > 0
+    assert abs(frame_interval(with_it, left_out)[0]) < 3 < frame_interval(with_it, none)[0]
+    assert Predicted("additive", row=1.0).left_out is None
 
 
 def test_what_is_not_there_loses():
@@ -235,6 +249,19 @@ def test_what_the_frames_held_back_exclude_is_no_finding(name, again, gain, gone
     fitted, proofs = standing(Fitted((step,), (), empty, empty), Proofs((proof,), None, None))
     assert (len(fitted.steps), len(proofs.each)) == ((0, 0) if gone else (1, 1))
     assert not refuted(step._replace(late=True), proof)
+
+
+@pytest.mark.parametrize(("name", "gone"), [("wave_frozen", True), ("wave_redrawn", False), ("comb", False)])
+def test_a_pattern_that_stays_is_no_finding_where_frames_held_back_have_it_elsewhere(name, gone):
+    found = Score(
+        log_p=-20.0, gain=25.0, penalty=3.0, amplitude=1.0, error=0.2, shift=0.3, power=2,
+        parameters={}, where={"axis": "frequency"}, spot={"frequency_y": (0.1, 0.005)},
+    )  # fmt: skip
+    step = Step(Named(found, SIGNATURES[name], name, ((name, 1.0),), False), (), -20.0)
+    there, elsewhere = (found.replace(spot={"frequency_y": (f, 0.005)}) for f in (0.102, 0.12))
+    assert not refuted(step, Proof(there, 0.0, -1.0, 1.0, 9))
+    assert refuted(step, Proof(elsewhere, 0.0, -1.0, 1.0, 9)) == gone
+    assert not refuted(step, Proof(elsewhere, 5.0, 2.0, 8.0, 9))
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import pytest
 from cannoise_jax.discovery.diagnose import diagnose
 from cannoise_jax.discovery.frames.splits import splits_of
 from cannoise_jax.signatures import warm
+from cannoise_jax.signatures.handed import Asked
 from tests.discovery.beyond_camera import SIZE, frames_of, rejects, scores
 
 FRAMES = 10
@@ -98,3 +99,14 @@ def test_offsets_of_frames_stay_where_one_exposure_shows_a_map_that_moves():
         assert looked is not None and looked.payload.thermal != held
         left = signatures["frame_additive"].score(warm.without_warmth(first.fields, looked))
         assert rejects(left) == held and ("frame_additive" not in signatures["warm"].hides(looked)) == held
+
+
+def test_no_limit_in_kelvin_stands_where_no_dark_current_is_told():
+    found, fields, signatures = scores(captured(35))
+    longest = max(f.exposure_s for f in fields if f.kind == "dark")
+    of_one = tuple(f for f in fields if f.kind != "dark" or f.exposure_s == longest)
+    several, one = (
+        signatures["warm"].detectable(Asked((looked,), -10.0, 1.0, 1.0), found["warm"], "temperature_drift")
+        for looked in (fields, of_one)
+    )
+    assert np.isfinite(several) and not np.isfinite(one)

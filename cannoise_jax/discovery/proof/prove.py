@@ -35,7 +35,7 @@ from cannoise_jax.discovery.search.steps import Fitted, Step, without_all
 from cannoise_jax.physics.transfer.estimate import Z90
 from cannoise_jax.signatures.fields import Fields
 from cannoise_jax.signatures.score import Score
-from cannoise_jax.signatures.signature import Signature
+from cannoise_jax.signatures.signature import FILES, Signature
 
 MOST_JOINT = 4
 """Up to so many findings each is judged with all others in the model."""
@@ -94,14 +94,17 @@ def refuted(step: Step, proof: Proof) -> bool:
     one without a name that they gain nothing is enough: nothing but its strength speaks for it, and a law
     that is a little off, as that of noise along the raster, leaves as much. A map that is drawn once has to
     be the same in both: of one that the frames held back have at no strength nothing would be handed back but
-    its name. What would take from the gain what it is needs a name and has to be confirmed: no draw shows
-    which of both it is."""
+    its name; and a pattern that stays is where it was. What would take from the gain what it is needs a name
+    and has to be confirmed: no draw shows which of both it is."""
     found, again = step.named.score, proof.score
     if step.named.signature.of_gain and (step.named.mechanism == UNKNOWN or not proof.confirmed):
         return True
     if step.late or again is None or proof.confirmed or proof.gain is None:
         return False
-    if step.named.signature.drawn_once and again.amplitude == 0:
+    signature = step.named.signature
+    if signature.drawn_once and again.amplitude == 0:
+        return True
+    if signature.frozen and signature.reads != FILES and not found.same_spot(again):
         return True
     if proof.gain > 0:
         return False

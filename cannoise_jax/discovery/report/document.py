@@ -85,12 +85,15 @@ def document(
     named = {f["mechanism"] for f in findings}
     listed = {c["mechanism"] for f in findings for c in f["candidates"] if f["outcome"] == "AMBIGUOUS"}
     missing = []
+    gain_known = any(b["gain_measured"] for b in outcome.baseline(diagnosis))
     for id in diagnosis.testable:
         if id in named:
             continue
         absorbed = absorbed_by(diagnosis, id)
         differs = [] if absorbed else still_differs(diagnosis, id)
-        limit = None if absorbed or differs else detectable(diagnosis, id)
+        # Without a gain there are no electrons.
+        unknown = "e-" in diagnosis.terms[id].unit and not gain_known
+        limit = None if absorbed or differs or unknown else detectable(diagnosis, id)
         smallest = None if limit is None else {"value": limit[0], "unit": limit[1]}
         missing.append(
             {
