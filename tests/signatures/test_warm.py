@@ -102,7 +102,7 @@ def test_offsets_of_frames_stay_where_one_exposure_shows_a_map_that_moves():
 
 
 def test_no_limit_in_kelvin_stands_where_no_dark_current_is_told():
-    found, fields, signatures = scores(captured(35))
+    found, fields, signatures = scores(captured(35, ramp(0.5)))
     longest = max(f.exposure_s for f in fields if f.kind == "dark")
     of_one = tuple(f for f in fields if f.kind != "dark" or f.exposure_s == longest)
     several, one = (
