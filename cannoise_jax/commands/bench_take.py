@@ -230,14 +230,14 @@ def _trial(root: Path, name: str, content: dict[str, Any]) -> _Parts:
 
 def _diagnosis(content: dict[str, Any]) -> _Parts:
     """The findings of a diagnosis, a row each."""
-    from cannoise_jax.discovery.report.wording import amount, between, nats
+    from cannoise_jax.discovery.report.wording import amount, between, meaning_in, nats
     from cannoise_jax.mechanisms import VOCABULARY
 
     rows = []
     for finding in content["findings"]:
         size, gain = finding["amplitude"], finding["heldout_gain_nats"]
         term = VOCABULARY.get(finding["mechanism"])
-        meaning = "" if term is None or finding["mechanism"] == "unknown" else term.amplitude
+        meaning = meaning_in(finding, term)
         value, interval = (amount(size[part], size["unit"], meaning) for part in ("value", "ci90"))
         strength = f"{value} ({interval})" if size["ci90"][0] < size["ci90"][1] else value
         shown = "not measured" if gain is None else nats(gain, finding["heldout_pixels"] or 0)

@@ -70,8 +70,9 @@ def document(
     findings: by held-out gain, largest first, see `finding`.
     not_found: mechanism and smallest_detectable, the amplitude (value, unit) that this run finds with
       probability 0.5, None where it is no strength; ambiguous marks members of an ambiguous finding's group,
-      part_of what is the slow part of a finding, absorbed_by findings that took away what spoke for it, and
-      still_differs lines of `remains` that are of its kind (then nothing excludes it).
+      too_much what the simulator has too much of, part_of what is the slow part of a finding, absorbed_by
+      findings that took away what spoke for it, and still_differs lines of `remains` that are of its kind
+      (then nothing excludes it).
     before, after: see `quality`; two_sample: see `two_sample`.
     seconds, peak_memory_mb: of the process, given by the caller.
     """
@@ -93,13 +94,15 @@ def document(
         differs = [] if absorbed else still_differs(diagnosis, id)
         # Without a gain there are no electrons.
         unknown = "e-" in diagnosis.terms[id].unit and not gain_known
-        limit = None if absorbed or differs or unknown else detectable(diagnosis, id)
+        more = any(e.mechanism == id for e in diagnosis.excess)
+        limit = None if absorbed or differs or unknown or more else detectable(diagnosis, id)
         smallest = None if limit is None else {"value": limit[0], "unit": limit[1]}
         missing.append(
             {
                 "mechanism": id,
                 "smallest_detectable": smallest,
                 **({"ambiguous": True} if id in listed else {}),
+                **({"too_much": True} if more else {}),
                 **({"part_of": parts[id]} if id in parts else {}),
                 **({"absorbed_by": absorbed} if absorbed and id not in parts else {}),
                 **({"still_differs": differs} if differs and id not in parts else {}),

@@ -17,7 +17,7 @@ from cannoise_jax.discovery.report.card import lines as card_lines
 from cannoise_jax.discovery.report.document import listed_steps
 from cannoise_jax.discovery.report.light import sentence_of
 from cannoise_jax.discovery.report.pictures import quality_pictures, where_pictures
-from cannoise_jax.discovery.report.wording import CERTAIN, amount, nats, placed
+from cannoise_jax.discovery.report.wording import CERTAIN, amount, meaning_in, nats, placed
 from cannoise_jax.discovery.result import Result
 from cannoise_jax.discovery.search.declare import NOTHING_LOOKS
 from cannoise_jax.discovery.search.name import UNKNOWN
@@ -191,15 +191,21 @@ def strength(terms: dict[str, Term], mechanism: str, values: Any, of: str | None
     return amount(values, of, "" if mechanism == UNKNOWN else terms[mechanism].amplitude)
 
 
-def rows(report: dict[str, Any], size: Callable[..., str]) -> list[dict[str, Any]]:
-    """The table at the top: what was found, the largest share first, and the remainder. size: `strength` of
-    the terms of the run."""
+def strength_of(terms: dict[str, Term], finding: dict[str, Any], values: Any) -> str:
+    """The strength of a finding, or an interval of it, as `strength` has it."""
+    term = terms.get(finding["mechanism"])
+    return amount(values, finding["amplitude"]["unit"], meaning_in(finding, term))
+
+
+def rows(report: dict[str, Any], of_finding: Callable[..., str]) -> list[dict[str, Any]]:
+    """The table at the top: what was found, the largest share first, and the remainder. of_finding:
+    `strength_of` by the terms of the run."""
     out = [
         {
             "name": _name(f["mechanism"]),
             "what": _place(f),
             "anchor": f"finding-{n + 1}",
-            "size": size(f["mechanism"], f["amplitude"]["value"], f["amplitude"]["unit"]),
+            "size": of_finding(f, f["amplitude"]["value"]),
             "sign": f["sign"],
             "share": percent(f["share"]),
             "part": f["share"] or 0.0,
@@ -262,7 +268,7 @@ def page(diagnosis: Result, report: dict[str, Any]) -> str:
         redrawn = steps[n].named.signature.axes.time in ("redrawn", "modulated")
         of_light = steps[n].named.signature.axes.scales == "signal"
         pictures.append(where_pictures(steps[n].before, after, axis, redrawn, of_light))
-    size = partial(strength, diagnosis.terms)
+    size, of_finding = (partial(f, diagnosis.terms) for f in (strength, strength_of))
     template = resources.files("cannoise_jax.discovery").joinpath("page.html.jinja").read_text("utf-8")
     return jinja2.Template(template, autoescape=True).render(
         card_lines=card_lines,
@@ -271,7 +277,8 @@ def page(diagnosis: Result, report: dict[str, Any]) -> str:
         r=report,
         verdict=verdict(report),
         nearer_with_rest=nearer_with_rest(report),
-        rows=rows(report, size),
+        rows=rows(report, of_finding),
+        of_finding=of_finding,
         percent=percent,
         sites=sites,
         size=size,

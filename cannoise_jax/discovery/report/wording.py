@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from cannoise_jax.discovery.compare.words import ends, is_wide, short
@@ -45,6 +45,26 @@ def amount(values: float | Sequence[float], unit: str | None, meaning: str = "")
     return f"{said} %" if percent else said if plain else f"{said} {unit}"
 
 
+_SHARES = ("white", "sparse", "contrast", "one pattern", "sinusoid", "exponential fall")
+"""Laws of what is added to the light as shares of it."""
+_OF_SIGNAL = "fraction of the signal"
+
+
+def meaning_of(unnamed: bool, scales: str, law: str, unit: str | None, term: Term | None) -> str:
+    """What the strength of a finding is a measure of. scales, law: of what has no name; term: of what has."""
+    if not unnamed:
+        return "" if term is None else term.amplitude
+    share = unit in (None, "1") and scales == "signal" and law in _SHARES
+    return _OF_SIGNAL if share else ""
+
+
+def meaning_in(finding: Mapping[str, Any], term: Term | None) -> str:
+    """`meaning_of` a finding of a report."""
+    axes = (finding.get("card") or {}).get("axes") or {}
+    unnamed, unit = finding["mechanism"] == UNKNOWN, finding["amplitude"]["unit"]
+    return meaning_of(unnamed, axes.get("scales", ""), axes.get("law", ""), unit, term)
+
+
 def nats(gain: float, pixels: int) -> str:
     """A gain on frames held back in words."""
     if pixels and gain > CERTAIN * pixels:
@@ -62,12 +82,13 @@ def sentence(entry: dict[str, Any], step: Step, proof: Proof, term: Term) -> str
     name = entry["mechanism"].replace("_", " ")
     unit, (low, high) = entry["amplitude"]["unit"], entry["amplitude"]["ci90"]
     unnamed = entry["outcome"] == "UNKNOWN_STRUCTURE"
-    meaning = "" if unnamed else term.amplitude
+    axes = step.named.signature.axes
+    meaning = meaning_of(unnamed, axes.scales, axes.law, unit, term)
     size = _sized(entry["amplitude"]["value"], unit, meaning)
     size += _at_exposure(step) if unit == "DN" else ""
     after = ""
     if unnamed:
-        axes, in_words = step.named.signature.axes, step.named.signature.kind
+        in_words = step.named.signature.kind
         kind = in_words(step.named.score) if in_words else axes.law
         start = f"A structure without a name, {placed(axes)} (of the kind: {kind}): strength {size}"
         if step.named.doubt is not None:
@@ -116,6 +137,8 @@ def _at_exposure(step: Step) -> str:
 def _sized(value: float, unit: str | None, meaning: str) -> str:
     """A strength, with what it measures where the unit does not say that."""
     if unit in (None, "1"):
+        if meaning == _OF_SIGNAL:
+            return f"{amount(value, unit, meaning)} of the signal"
         what = meaning.partition(":")[0].replace("fraction of", "share of")
         return f"{what} {amount(value, unit, meaning)}".strip()
     kind = meaning.partition(",")[0]
