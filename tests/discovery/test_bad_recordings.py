@@ -112,6 +112,10 @@ def test_what_the_baseline_lacks_is_said():
     noise."""
     whole = diagnose(capture_set(2, kinds="df", frames=4, size=SIZE), compare=False)
     assert not_measured(whole) == []
+    multiplied = tuple(dataclasses.replace(r, em_gain=200.0) for r in whole.capture.recordings)
+    held = dataclasses.replace(whole, capture=dataclasses.replace(whole.capture, recordings=multiplied))
+    (line,) = not_measured(held)
+    assert line.startswith("the files state an electron multiplying gain of 200")
     assert (
         {b["gain_measured"] for b in baseline(whole)}
         == {b["read_noise_measured"] for b in baseline(whole)}

@@ -26,6 +26,7 @@ from cannoise_jax.physics.core.sensor_draws import closed_moments
 from cannoise_jax.physics.core.settings import Settings, black_levels
 from cannoise_jax.physics.transfer.estimate import Z90
 from cannoise_jax.physics.transfer.faults import Faults
+from cannoise_jax.physics.transfer.multiplied import multiplied
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.curve import VARIANCE_CURVE
 from cannoise_jax.signatures.whole_spread import spread_of_all
@@ -155,7 +156,8 @@ def measured(diagnosis: Result) -> dict[float | None, Measured]:
 
 def not_measured(diagnosis: Result) -> list[str]:
     """A line for every ISO of which the baseline was not measured: what, and what to record, unless a fault
-    of the recordings says it; and one where no straight line tells the gain."""
+    of the recordings says it; one where no straight line tells the gain, and one where it holds the excess
+    noise of a multiplier."""
     out, known = [], measured(diagnosis)
     for iso, (gain, read, _) in known.items():
         wrong, at = diagnosis.faults.get(iso, Faults()), at_iso(iso)
@@ -171,6 +173,10 @@ def not_measured(diagnosis: Result) -> list[str]:
     laws = {s.named.signature.axes.law for s in diagnosis.fitted.steps if s.named.mechanism == UNKNOWN}
     if VARIANCE_CURVE in laws and any(m.gain_measured for m in known.values()):
         out.append(_UNLIKE if asked_of_a_curve(diagnosis) else _BENT)
+    # A random gain that was found is in the gain that is told.
+    named = any(s.named.signature.of_gain and s.named.mechanism != UNKNOWN for s in diagnosis.fitted.steps)
+    if not named and (line := multiplied(diagnosis.capture.recordings)):
+        out.append(line)
     return out
 
 

@@ -20,7 +20,7 @@ def doubts(result: PhotonTransfer) -> tuple[str, ...]:
     lines = [q.doubt for q in result.quantities if q.doubt]
     lines = [max(lines, key=len)] if lines else []
     lines.append(smoothed(result.statistics) or flats_alike(result.statistics))
-    lines.append(multiplied(result.statistics))
+    lines.append(multiplied(s.recording for s in result.statistics))
     lines.append(two_offsets(result.statistics))
     lines.append(far_from_stated((s.recording for s in result.statistics), gains))
     lines.append(unlike_biases(result.statistics, float(np.mean(gains)) if gains else 0.0))

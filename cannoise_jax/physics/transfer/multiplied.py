@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
-from cannoise_jax.physics.transfer.frames import FrameStatistics
+from cannoise_jax.recordings.recording import Recording
 
 _LEAST = 2.0
 """Electron multiplying gain from which on its excess noise is half of the shot noise and more: F^2 is 2 - 1/G
 or nearly so (Robbins and Hadwen, IEEE Trans. Electron Devices 50, 1227, 2003)."""
 
 
-def multiplied(statistics: Sequence[FrameStatistics]) -> str:
+def multiplied(recordings: Iterable[Recording]) -> str:
     """That files state an electron multiplying gain, and what gain and read noise then are; empty where none
     does."""
-    stated = sorted({s.recording.em_gain for s in statistics if s.recording.em_gain is not None})
+    stated = sorted({r.em_gain for r in recordings if r.em_gain is not None})
     if not stated or stated[-1] < _LEAST:
         return ""
     excess = 2 - 1 / stated[-1]
