@@ -17,9 +17,11 @@ def charge_in_black(darks: Sequence[Fields], longest: float) -> dict[int, float]
     of its own. By the dark whose exposure is nearest to that of the longest flat, s."""
     out: dict[int, float] = {}
     for group in {f.group for f in darks}:
-        own = [f for f in darks if f.group == group and f.static is not None and f.exposure_s is not None]
+        all_of = [f for f in darks if f.group == group]
+        own = [f for f in all_of if f.static is not None and f.exposure_s]
         by_time = sorted(((float(f.exposure_s or 0.0), n) for n, f in enumerate(own)))
-        if not by_time or by_time[0][0] == 0:
+        # An exposure that is not stated counts as none where the black level is told.
+        if not by_time or any((f.exposure_s or 0.0) < by_time[0][0] for f in all_of):
             continue
         (least, first), *others = by_time
         more = [(abs(np.log(t / longest)), t, n) for t, n in others if t > least]

@@ -17,6 +17,7 @@ from scipy import ndimage, stats
 
 from cannoise_jax.physics.core.grammar import Point
 from cannoise_jax.physics.robust import median, robust_std
+from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.signatures.added import placed
 from cannoise_jax.signatures.defects import LOST
 from cannoise_jax.signatures.fields import Fields, native, without_pixels
@@ -32,10 +33,14 @@ _LEAST = 0.05
 map of sensitivities, and rings of dust."""
 _ALIKE = 0.5
 """By how much of it a pixel's share may differ from flat to flat, and what of it may be in the darks."""
+_AS_LONG = 0.5
+"""Of the exposure of a flat, from which on a dark shows the charge that the flat holds."""
 _STEADY = 8.0
 """Standard deviations by which the noise of a pixel may exceed that of the others: hits and jumps do."""
 _BESIDE = 3
 """Others of the 5 x 5 pixels about one that may stand out too: more are the shadow of something."""
+_IN_TAIL = 0.005
+"""Share of the pixels beyond which the tail of a map is measured."""
 _AREA, _CROWDED = 31, 1e-4
 """Pixels along a side of the area about one, and the chance below which there are too many of them in it."""
 _HEALTHY = 0.01
@@ -63,50 +68,69 @@ def response_of(fields: Many) -> Response | None:
         return None
     share = np.sum([s * i for s, i in by_flat], 0) / np.maximum(information, 1e-30)
     noise = 1 / np.sqrt(np.maximum(information, 1e-30))
-    own = robust_std(share[known]) ** 2 - float(median(noise[known])) ** 2
+    own = max(robust_std(share[known]), _tail(share[known])) ** 2 - float(median(noise[known])) ** 2
     error = np.hypot(noise, np.sqrt(max(own, 0.0)))
-    sites = known & (np.abs(share) > np.maximum(_FAR * error, _LEAST)) & (share > -LOST)
+    limit = np.maximum(_FAR * error, _LEAST)
+    off = known & (np.abs(share) > 0.5 * limit)
+    sites = known & (np.abs(share) > limit) & (share > -LOST) & ~_of_areas(off)
     for f, (one, told) in zip(flats, by_flat, strict=True):
         sees = told * share**2 > _FAR**2
         sites &= ~sees | (
             np.abs(one - share) < _ALIKE * np.abs(share) + _FAR / np.sqrt(np.maximum(told, 1e-30))
         )
-        sites &= _level_in_darks(f, fields) < _ALIKE * np.abs(share) * np.maximum(f.signal, 1e-6)
+        level, as_long = _level_in_darks(f, fields)
+        sites &= level < _ALIKE * np.abs(share) * np.maximum(f.signal, 1e-6)
+        # Charge only adds, and more of it in a longer flat of the same lamp, as light does.
+        sites &= as_long | (share < 0)
     sites &= _steady(flats, share)
-    return Response(share, error, sites & ~_of_areas(sites))
+    return Response(share, error, sites)
 
 
-def _of_areas(sites: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Those that have more of them about than chance puts there: shadows, rings and reflections."""
+def _tail(share: Float[np.ndarray, "n"]) -> float:
+    """Standard deviation by how far the tail of a map reaches, on the side where it reaches less far: pixels
+    of another kind are on one, and a map may have longer tails than a normal one."""
+    low, middle, high = np.quantile(share, (_IN_TAIL, 0.5, 1 - _IN_TAIL))
+    return float(min(middle - low, high - middle) / stats.norm.isf(_IN_TAIL))
+
+
+def _of_areas(off: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Pixels about which more are off than chance puts there: in shadows, rings and reflections."""
 
     def about(side: int) -> np.ndarray:
-        return (
-            ndimage.convolve(sites.astype(np.int32), np.ones((side, side), np.int32), mode="constant") - sites
-        )
+        return ndimage.convolve(off.astype(np.int32), np.ones((side, side), np.int32), mode="constant") - off
 
-    crowded = stats.poisson.sf(about(_AREA) - 1, _AREA**2 * sites.mean()) < _CROWDED
-    return (about(5) > _BESIDE) | crowded
+    beside = about(5)
+    crowded = stats.poisson.sf(about(_AREA) - 1, _AREA**2 * off.mean()) < _CROWDED
+    # Those of a grid, which may be in a part of the frame alone, have none of them near.
+    return (beside > _BESIDE) | ((beside > 0) & crowded)
 
 
 def _shares(f: Fields) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
     """Of one flat, and what it knows of each: one over its variance."""
     root = np.where(f.usable, np.sqrt(f.frames) * np.maximum(f.signal, 0.0) / f.sigma, 0.0).astype(np.float64)
     share = np.where(root > 0, f.static / np.maximum(root, 1e-6), 0.0)
-    return np.where(root > 0, share - median(share[root > 0]) if (root > 0).any() else 0.0, 0.0), root**2
+    # Where they are many the surface of their channel lies lower by them.
+    for at in SITES:
+        told = root[at] > 0
+        if told.any():
+            share[at] -= median(share[at][told])
+    return np.where(root > 0, share, 0.0), root**2
 
 
-def _level_in_darks(flat: Fields, fields: Many) -> Float[np.ndarray, "h w"]:
-    """By how much, DN, every pixel lies off in a dark of nearly the exposure of the flat: what is charge."""
+def _level_in_darks(flat: Fields, fields: Many) -> tuple[Float[np.ndarray, "h w"], bool]:
+    """By how much, DN, every pixel lies off in a dark of nearly the exposure of the flat: what is charge; and
+    whether that dark is long enough to show it."""
     darks = [native(f) for f in fields if not f.lit and f.static is not None and f.group == flat.group]
     if not darks:
-        return np.zeros(flat.mean.shape)
+        return np.zeros(flat.mean.shape), False
     long = flat.exposure_s or 0.0
     dark = min(darks, key=lambda f: abs(np.log(max(f.exposure_s or 0.0, 1e-6) / max(long, 1e-6))))
     off = dark.static * dark.sigma / np.sqrt(dark.frames)
     of_longer = min(long / dark.exposure_s, 1.0) if long and dark.exposure_s else 1.0
     # What is noise is nothing that the pixel has.
     noise = 3 * dark.sigma / np.sqrt(dark.frames)
-    return np.where(dark.usable, of_longer * np.maximum(np.abs(off) - noise, 0.0), 0.0) / flat.unit
+    level = np.where(dark.usable, of_longer * np.maximum(np.abs(off) - noise, 0.0), np.inf) / flat.unit
+    return level, bool(long and (dark.exposure_s or 0.0) >= _AS_LONG * long)
 
 
 def _steady(flats: list[Fields], share: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
@@ -173,7 +197,7 @@ def other(*, name: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]) -> 
     def kind(score: Score[np.ndarray]) -> str:
         share, of_all = score.parameters["share"][0], score.parameters["fraction"][0]
         how = f"{100 * abs(share):.2g} % {'more' if share > 0 else 'less'}"
-        return f"{100 * of_all:.2g} % of the pixels answer to the light by another share: typically {how}"
+        return f"{100 * of_all:.2g} % of the pixels respond differently to light: typically {how}"
 
     return plain(
         name=name,

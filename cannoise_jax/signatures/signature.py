@@ -126,10 +126,10 @@ class Signature:
       what it is in words, where the law of its axes says too little. single_pixels: whether it is about
       pixels that others set aside. restates: what it corrects of what was stated. of_gain: whether variance
       tells of it and the gain the product alone, so that the one is as wrong as the other. counted: whether
-      its electrons were counted, and not told from DN by the gain. approximate: whether what it takes out is
-      close to the effect, not all of it, so that what has no name sees the rest. form_free: whether its form
-      differs from camera to camera in ways that the model does not follow, so that much of what it bears on
-      may be left.
+      its electrons were counted, so that they stay where the gain is found to be another one. approximate:
+      whether what it takes out is close to the effect, not all of it, so that what has no name sees the rest.
+      form_free: whether its form differs from camera to camera in ways that the model does not follow, so
+      that much of what it bears on may be left.
     series(field, score) -> one recording as the Gaussian noise of lines or along the scan that it names;
       None: it names none, or none there.
     off(fields, score, rng) -> by number of the recording, what it says that the mean is off the reference by,
@@ -204,11 +204,12 @@ class Signature:
     def precedes(self, other: Signature) -> bool:
         """Whether it is taken out before a map that was found earlier: what pixels share in each frame is in
         their mean by less, and independent from recording to recording only until a map is taken out of all
-        of them; what a map of pixels leaves of lines is known exactly, but not what lines leave of a map."""
+        of them, and is in the noise that a map is told by; what a map of pixels leaves of lines is known
+        exactly, but not what lines leave of a map."""
         if other.map_of is None:
             return False
         if self.axes.time == "redrawn":
-            return self.axes.varies_over not in ("pixel", "frame")
+            return self.axes.varies_over != "pixel"
         return self.map_of is not None and self.map_of[0] == "pixel" and other.map_of[0] != "pixel"
 
     @property

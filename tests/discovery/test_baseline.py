@@ -60,6 +60,15 @@ def test_what_code_0_cuts_off_of_darks_is_not_missing_in_the_light(frames):
     assert found.pedestal == pytest.approx(np.zeros(4), abs=0.08)
 
 
+def test_a_site_that_is_always_0_takes_nothing_with_it():
+    """As where a colour is masked: its noise is none, and cut off at the same code."""
+    alive = np.ones(SIZE)
+    alive[1::2, 1::2] = 0
+    capture = capture_set(3, lambda rng: lambda dn, *_: dn * alive, kinds="df", black=0.0, read=3.0)
+    (found,) = prepare(capture, all_frames(split_recordings(capture)), False).baselines
+    assert np.isfinite(found.read_noise).all() and found.read_noise[:3] == pytest.approx(4.5, rel=0.1)
+
+
 @pytest.mark.parametrize(
     "camera",
     [

@@ -7,9 +7,11 @@ import pytest
 
 from cannoise_jax.discovery.frames.splits import prepare_split, split_recordings
 from cannoise_jax.discovery.search.fit import stepwise
+from cannoise_jax.discovery.search.maps import beside_others
 from cannoise_jax.signatures import groups
 from cannoise_jax.signatures.fields import Fields, helmert, refit
 from cannoise_jax.signatures.score import sidak
+from tests.discovery.capture import SIZE as FRAME
 from tests.discovery.capture import capture_set, row_offsets
 from tests.discovery.looks import SIGNATURES
 
@@ -139,3 +141,25 @@ def test_a_wave_fitted_anew_is_not_taken_for_rows_that_wander():
     assert elsewhere.log_p < found.log_p and not elsewhere.same_spot(found)
     assert wave.refitted(beside, found).same_spot(found)
     assert wave.refitted(alone, found) == found
+
+
+def test_maps_have_their_strengths_beside_frames_that_drift_by_as_much_as_pixels_are_noisy():
+    """Maps are told by the noise of pixels, which drift is no part of, whichever is found first."""
+
+    def alter(rng):
+        offsets, response = 6.0 * rng.standard_normal(FRAME), 0.01 * rng.standard_normal(FRAME)
+        return lambda dn, signal, kind, t: dn + offsets + signal * response + 3.0 * rng.standard_normal()
+
+    capture = capture_set(72, alter, kinds="df", read=1.7, frames=8)
+    prepared = prepare_split(capture, split_recordings(capture))
+    names = ("pixel_additive_static", "pixel_relative_static", "frame_additive")
+    found = stepwise(
+        prepared.fields,
+        tuple(s for s in prepared.signatures if s.name in names),
+        frozenset({"dsnu", "prnu", "offset_drift"}),
+        float(np.log(0.01)),
+    )
+    told = {s.named.signature.name: s.named.score for s in beside_others(found.steps)}
+    assert set(told) == set(names)
+    assert told["pixel_additive_static"].amplitude == pytest.approx(6.0, rel=0.02)
+    assert told["pixel_relative_static"].amplitude == pytest.approx(0.01, rel=0.02)

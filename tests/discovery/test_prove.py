@@ -262,6 +262,7 @@ def test_a_pattern_that_stays_is_no_finding_where_frames_held_back_have_it_elsew
     assert not refuted(step, Proof(there, 0.0, -1.0, 1.0, 9))
     assert refuted(step, Proof(elsewhere, 0.0, -1.0, 1.0, 9)) == gone
     assert not refuted(step, Proof(elsewhere, 5.0, 2.0, 8.0, 9))
+    assert not refuted(step, Proof(elsewhere, 4.0, -0.5, 8.0, 9))
 
 
 @pytest.mark.parametrize(

@@ -133,8 +133,8 @@ def _before_cut(dark: Stack, p: Level) -> tuple[float, float]:
     cut off the variance is the mean of that of the pixels: medians tell it of normal noise alone."""
     at = SITES[p.channel]
     n, each = len(dark.contrasts), dark.variance[at][dark.usable[at]]
-    far = _WHOLE * float(stats.chi2.isf(1e-6, n)) / n * p.variance
-    variance = float(each[each < far].mean())
+    whole = each[each < _WHOLE * float(stats.chi2.isf(1e-6, n)) / n * p.variance]
+    variance = float(whole.mean()) if whole.size else p.variance
     level, spread = level_and_spread(dark.mean[at], variance, dark.frames, dark.step)
     return before_rounding(level, variance, dark.step, spread)
 
@@ -204,14 +204,11 @@ def _before_rounding(
     `physics.core.rounding`; else as they are."""
     pedestal, read = black.copy(), read.copy()
     for p in levels:
-        sigma = np.sqrt(p.variance)
-        if sigma > COARSE * dark.step and not _is_cut(p, black):
-            continue
         if _is_cut(p, black):
             pedestal[p.channel], read[p.channel] = _before_cut(dark, p)
-            continue
-        level, spread = level_and_spread(dark.mean[SITES[p.channel]], p.variance, dark.frames, dark.step)
-        pedestal[p.channel], read[p.channel] = before_rounding(level, p.variance, dark.step, spread)
+        elif np.sqrt(p.variance) <= COARSE * dark.step:
+            level, spread = level_and_spread(dark.mean[SITES[p.channel]], p.variance, dark.frames, dark.step)
+            pedestal[p.channel], read[p.channel] = before_rounding(level, p.variance, dark.step, spread)
     return pedestal, read
 
 

@@ -174,14 +174,17 @@ def without_own(
     prepared: Prepared, own: tuple[Step, ...], too_much: frozenset[str] = frozenset()
 ) -> Prepared:
     """A split with what the simulator has already taken out, and the signatures set aside that cannot be
-    trusted beside it. Gain, read noise and levels of its draws hold as much of it as those of the recordings,
-    but of what it has too much of: too_much, mechanisms that could not be lowered in it."""
+    trusted beside it. Gain, read noise and levels of its draws hold as much of it as those of the recordings;
+    its gain and read noise not, where it has too much. too_much: mechanisms that could not be lowered in it.
+    """
     aside = {name for s in own for name in s.named.signature.covers} - {s.named.signature.name for s in own}
     unlike = {name for s in own if s.named.mechanism in too_much for name in s.named.signature.covers}
     return prepared._replace(
         fields=without_all(own, prepared.fields),
         signatures=tuple(
-            p for p in prepared.signatures if p.name not in aside or (p.beyond and p.name not in unlike)
+            p
+            for p in prepared.signatures
+            if p.name not in aside or (p.beyond and not (p.restates and p.name in unlike))
         ),
     )
 

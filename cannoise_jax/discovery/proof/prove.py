@@ -104,10 +104,10 @@ def refuted(step: Step, proof: Proof) -> bool:
     signature = step.named.signature
     if signature.drawn_once and again.amplitude == 0:
         return True
-    if signature.frozen and signature.reads != FILES and not found.same_spot(again):
-        return True
     if proof.gain > 0:
         return False
+    if signature.frozen and signature.reads != FILES and not found.same_spot(again):
+        return True
     if step.named.signature.single_pixels:
         return False  # a few pixels may not jump again in few frames
     if step.named.mechanism == UNKNOWN:
@@ -183,7 +183,7 @@ def prove(
         return steps[n].named.signature.single_pixels or not masked, bool(law.frame), bool(law.column)
 
     def scored(n: int, whole: bool) -> Scored:
-        model = known if whole else [q for p in known if (q := p.left_out if p is laws[n] else p)]
+        model = known if whole else [q for p in known if (q := p.left_out if p is laws[n] else p) is not None]
         return score_frames(first, second, chosen, model, None if cut(n)[0] else ordinary, laws[n])
 
     lawful = [n for n, law in enumerate(laws) if law is not None and pixels]

@@ -216,6 +216,8 @@ def _of_parts(one: Float[np.ndarray, "h w"], two: Float[np.ndarray, "h w"]) -> _
     own = float(np.mean(one * two))
     error = float(np.sqrt(np.mean(one**2) * np.mean(two**2) / one.size))
     found = _Parts(0.0, "")
+    if min(one.shape) <= max(*_APART, *_ACROSS):
+        return found
     for axis, (a, b) in (("column", (one, two)), ("row", (one.T, two.T))):
         along = np.mean([_alike(a, b, k) for k in _APART])
         more = float(along - np.sqrt(np.mean([_alike(a.T, b.T, k) ** 2 for k in _ACROSS])))

@@ -69,10 +69,10 @@ def document(
       not_found.
     findings: by held-out gain, largest first, see `finding`.
     not_found: mechanism and smallest_detectable, the amplitude (value, unit) that this run finds with
-      probability 0.5, None where it is no strength; ambiguous marks members of an ambiguous finding's group,
-      too_much what the simulator has too much of, part_of what is the slow part of a finding, absorbed_by
-      findings that took away what spoke for it, and still_differs lines of `remains` that are of its kind
-      (then nothing excludes it).
+      probability 0.5, None where it is no strength or its unit is not told; ambiguous marks members of an
+      ambiguous finding's group, too_much what the simulator has too much of, part_of what is the slow part of
+      a finding, absorbed_by findings that took away what spoke for it, and still_differs lines of `remains`
+      that are of its kind (then nothing excludes it).
     before, after: see `quality`; two_sample: see `two_sample`.
     seconds, peak_memory_mb: of the process, given by the caller.
     """
@@ -87,13 +87,15 @@ def document(
     listed = {c["mechanism"] for f in findings for c in f["candidates"] if f["outcome"] == "AMBIGUOUS"}
     missing = []
     gain_known = any(b["gain_measured"] for b in outcome.baseline(diagnosis))
+    counted = {s.mechanism for s in diagnosis.first.signatures if s.counted}
+    of_gain = {id for id in diagnosis.testable if "e-" in diagnosis.terms[id].unit} - counted
     for id in diagnosis.testable:
         if id in named:
             continue
         absorbed = absorbed_by(diagnosis, id)
         differs = [] if absorbed else still_differs(diagnosis, id)
         # Without a gain there are no electrons.
-        unknown = "e-" in diagnosis.terms[id].unit and not gain_known
+        unknown = id in of_gain and not gain_known
         more = any(e.mechanism == id for e in diagnosis.excess)
         limit = None if absorbed or differs or unknown or more else detectable(diagnosis, id)
         smallest = None if limit is None else {"value": limit[0], "unit": limit[1]}

@@ -52,14 +52,15 @@ def _of_the_kind(d: Difference, axes: Axes) -> bool:
         return False
     over, stays = axes.varies_over, axes.time == "frozen"
     if axes.law == NOISE:
-        lines = over in ("row", "column") and d.what == words.LINES_UNLIKE and d.note == f"{over}s"
+        # One line tells of rows and columns, and of pixels above and below, whichever are more so.
+        lines = over in ("row", "column") and d.what == words.LINES_UNLIKE
         return lines or (over == "pixel" and d.what == words.NOISIER)
     if over in ("row", "column") and axes.law == "white":
         return d.what == f"{over}s" and (d.time == words.STATIC) == stays
     if over != "pixel" or not stays:
         return False
     if axes.law == "sparse":
-        return d.what == (words.DARK if axes.scales == "signal" else words.HOT)
+        return d.what in (words.DARK, words.HOT)
     return axes.law == "white" and d.what == words.OF_PIXELS
 
 

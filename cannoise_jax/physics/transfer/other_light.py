@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy import stats
 
 from cannoise_jax.physics.transfer.frames import FrameStatistics
 from cannoise_jax.recordings.recording import DARK
@@ -25,10 +26,12 @@ _BANDS = 16
 """Bands of rows, and of columns, that are compared."""
 _CLIPPED = 0.01
 """Share of the pixels of a flat at a rail from which on it tells no light."""
-_MATTERS, _SURE = 0.02, 8.0
-"""Share of the light of a band, and standard errors by how its frames scatter, from which on it is told."""
-_FEWEST = 3
+_MATTERS, _CHANCE = 0.02, 1e-6
+"""Share of the light of a band by which it differs at least, and chance of any of them that differs so."""
+_FEWEST = 5
 """Frames of a flat that say how light scatters."""
+_STRAIGHT = 0.5
+"""Share of the white level up to which a response hardly bends: of brighter flats the middle is brighter."""
 
 
 class _Profile(NamedTuple):
@@ -48,26 +51,23 @@ def other_light_line(statistics: Sequence[FrameStatistics]) -> str:
         and s.recording.exposure_s
         and s.recording.count >= _FEWEST
         and s.clipped.mean() < _CLIPPED
+        and float(np.max(s.level)) < _STRAIGHT * s.recording.white_level
     ]
     darks = [s for s in statistics if s.recording.kind in DARK]
-    if len(flats) < 2 or not darks:
-        return ""
-    longest = max(flats, key=_seconds)
-    told = [
-        found
-        for s in flats
-        if _SHORTER * _seconds(s) < _seconds(longest) and (found := _unlike(s, longest, darks)) is not None
-    ]
+    told = []
+    for short in flats:
+        own = [d for d in darks if d.mean.shape == short.mean.shape]
+        longer = [s for s in flats if own and s.mean.shape == short.mean.shape and _one_lamp(short, s, own)]
+        if longer and (found := _unlike(short, long := max(longer, key=_seconds), own)) is not None:
+            told.append((*found, short, long))
     if not told:
         return ""
-    more, where, short = max(told, key=lambda t: abs(t[0]))
-    name = short.recording.path or "a flat"
-    other = longest.recording.path or "flat"
+    more, where, short, long = max(told, key=lambda t: abs(t[0]))
     return (
-        f"{name}: its light lies otherwise over the frame than that of the longer {other}, by "
-        f"{100 * more:+.2g} % in {where}, though it seems to be of one lamp: light that falls on the pixels "
-        "while they are read, a shutter, or a lamp that was moved. It is taken for light, and means over the "
-        "exposure are off by as much"
+        f"{short.recording.path or 'a flat'}: its light is distributed differently over the frame than that "
+        f"of the longer {long.recording.path or 'flat'}, by {100 * more:+.2g} % in {where}, though both seem "
+        "to be of one lamp: light that falls on the pixels while they are read, a shutter, or a lamp that "
+        "was moved. It is taken for light, and means over the exposure are off by as much"
     )
 
 
@@ -75,25 +75,30 @@ def _seconds(s: FrameStatistics) -> float:
     return float(s.recording.exposure_s or 0.0)
 
 
+def _one_lamp(short: FrameStatistics, long: FrameStatistics, darks: Sequence[FrameStatistics]) -> bool:
+    """Whether the second is longer, of as much light a second."""
+    if _SHORTER * _seconds(short) >= _seconds(long):
+        return False
+    rates = [_level(s, darks) / _seconds(s) for s in (short, long)]
+    return min(rates) > 0 and abs(rates[0] / rates[1] - 1) <= _ONE_LAMP
+
+
 def _unlike(
     short: FrameStatistics, long: FrameStatistics, darks: Sequence[FrameStatistics]
-) -> tuple[float, str, FrameStatistics] | None:
-    """By how much the light of one band differs most, as a share of it, and which; None where none does, or
-    the lamps are two."""
-    rates = [_level(s, darks) / _seconds(s) for s in (short, long)]
-    if min(rates) <= 0 or abs(rates[0] / rates[1] - 1) > _ONE_LAMP:
-        return None
-    found = None
+) -> tuple[float, str] | None:
+    """By how much the light of one band differs most, as a share of it, and which; None where none does."""
+    found: tuple[float, str] | None = None
+    sure = float(stats.t.isf(_CHANCE / (4 * _BANDS), min(short.recording.count, long.recording.count) - 1))
     for axis, what in enumerate(("rows", "columns")):
         one, other = _profile(short, darks, axis), _profile(long, darks, axis)
         if min(one.light.min(), other.light.min()) <= 0:
             continue
         more = one.light / other.light - 1
         error = np.hypot(one.error / one.light, other.error / other.light)
-        k = int(np.argmax(np.abs(more) - _SURE * error))
-        if abs(more[k]) > max(_MATTERS, _SURE * error[k]) and abs(more[k]) > abs(found[0] if found else 0):
+        k = int(np.argmax(np.abs(more) - sure * error))
+        if abs(more[k]) > max(_MATTERS, sure * error[k]) and abs(more[k]) > abs(found[0] if found else 0):
             lines = np.array_split(np.arange(short.mean.shape[axis]), _BANDS)[k]
-            found = float(more[k]), f"{what} {lines[0] + 1} to {lines[-1] + 1}", short
+            found = float(more[k]), f"{what} {lines[0] + 1} to {lines[-1] + 1}"
     return found
 
 

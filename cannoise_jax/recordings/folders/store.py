@@ -38,12 +38,14 @@ from cannoise_jax.recordings.native import SUFFIXES as NATIVE
 from cannoise_jax.recordings.native import open_native, write_recording
 from cannoise_jax.recordings.opened import stated
 from cannoise_jax.recordings.pictures import SUFFIXES as PICTURES
-from cannoise_jax.recordings.recording import BadInput, CaptureSet, Recording
+from cannoise_jax.recordings.recording import DARK, BadInput, CaptureSet, Recording
 from cannoise_jax.recordings.sidd import is_instance
+from cannoise_jax.recordings.stacks import NUMPY_SUFFIXES, TIFF_SUFFIXES, side_car
 from cannoise_jax.recordings.unfinished import is_finished
 
 _KEPT = 6
 """Conversions that a cache keeps beside those in use."""
+STACKS = (*TIFF_SUFFIXES, *NUMPY_SUFFIXES)
 _MAKING = ".making-"
 _SOURCES = "sources.json"
 """In a cached conversion: the files of every recording, below the folder."""
@@ -221,8 +223,19 @@ def _is_prepared(folder: Path) -> bool:
 
 
 def _single(files: Sequence[Path]) -> bool:
-    """Whether they are two or more and each holds one image, so that those of a setting are to be joined."""
-    return len(files) > 1 and all(suffix_of(p) in PICTURES or _frames_of(p) == 1 for p in files)
+    """Whether they are two or more and each holds one image of what is the same in many, so that those of a
+    setting are to be joined: scenes may be of anything."""
+    return len(files) > 1 and all(_is_repeat(p) for p in files)
+
+
+def _is_repeat(path: Path) -> bool:
+    try:
+        kind = side_car(path).get("kind")
+    except BadInput:
+        return False
+    if kind != "flat" and kind not in DARK:
+        return False
+    return suffix_of(path) in PICTURES or (suffix_of(path) in STACKS and _frames_of(path) == 1)
 
 
 def _frames_of(path: Path) -> int:

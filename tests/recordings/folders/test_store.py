@@ -126,6 +126,16 @@ def test_files_of_one_image_with_side_cars_are_joined_and_stacks_are_not(tmp_pat
         np.testing.assert_array_equal(r.frames, other.frames)
 
 
+@pytest.mark.parametrize("kind", ["scene", None])
+def test_images_that_may_be_of_anything_stay_apart(tmp_path, kind):
+    about = {"cfa": "MONO", "black_level": 64, "white_level": 1023, "camera": "Acme 100"}
+    for n in range(3):
+        Image.fromarray(np.full((24, 32), 200 + 100 * n, np.uint16)).save(tmp_path / f"view{n}.png")
+        (tmp_path / f"view{n}.json").write_text(json.dumps(about | ({"kind": kind} if kind else {})))
+    capture, said = capture_of(tmp_path, Options({}), tmp_path / "cache")
+    assert [r.count for r in capture.recordings] == [1, 1, 1] and said == ""
+
+
 def test_a_folder_is_converted_once(tmp_path):
     folder, cache = night(tmp_path / "in"), tmp_path / "cache"
     steps = []
