@@ -152,12 +152,10 @@ def diagnose(
     raw = splits_of(judged.capture, judged.stated, judged.drawn, searched(entries))
     own = own_effects(judged.drawn, entries, judged.own_names(allowed, entries), log_alpha)
     too_much = excess(own, raw.looking, judged.held)
-    given = judged
-    judged, raw, own, kept = less_of(
+    judged, raw, own, kept, still = less_of(
         too_much, judged, raw, own, entries=entries, allowed=allowed, log_alpha=log_alpha, key=key
     )
-    more = frozenset(e.mechanism for e in too_much) if judged is given else frozenset()
-    splits = raw.less(partial(without_own, own=own, too_much=more))
+    splits = raw.less(partial(without_own, own=own, too_much=still))
     first = splits.looking
 
     looked, alone = sum(len(a) for a, _ in splits.frames), "" if splits.can_prove else ", none held back"
@@ -257,19 +255,19 @@ def less_of(
     allowed: frozenset[str],
     log_alpha: float,
     key: Key[Array, ""],
-) -> tuple[Judged, Splits, tuple[Step, ...], tuple[Step, ...]]:
+) -> tuple[Judged, Splits, tuple[Step, ...], tuple[Step, ...], frozenset[str]]:
     """The simulator without what it has too much of, the recordings beside it, what it has beyond
-    Poisson-Gaussian noise then, and what of that goes into what is handed back. Of what is no camera model
-    only the last is changed."""
+    Poisson-Gaussian noise then, what of that goes into what is handed back, and mechanisms of which it still
+    has too much. Of what is no camera model only what is handed back is changed."""
     if not too_much:
-        return judged, raw, own, own
+        return judged, raw, own, own, frozenset()
     share = shares(too_much, judged.model)
     less = with_less(judged, share, key)
     if less is None:
-        return judged, raw, own, at_shares(own, share)
+        return judged, raw, own, at_shares(own, share), frozenset(e.mechanism for e in too_much)
     again = splits_of(less.capture, less.stated, less.drawn, searched(entries))
     own = own_effects(less.drawn, entries, less.own_names(allowed, entries), log_alpha)
-    return less, again, own, own
+    return less, again, own, own, frozenset()
 
 
 def judged_by(

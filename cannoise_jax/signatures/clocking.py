@@ -83,8 +83,7 @@ def _counted(found: list[Spikes]) -> float:
 
 
 def clocking_score(fields: Many) -> Score[float] | None:
-    """Electrons per pixel and frame. Payload: electrons of the gain that variance tells which a multiplied
-    one is as large as."""
+    """Electrons per pixel and frame. Payload: mean size of one, over the gain that variance tells."""
     score = spike_score(fields, kind="clocking", hidden=hidden)
     if score is None:
         return None

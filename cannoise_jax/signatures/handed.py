@@ -35,9 +35,8 @@ class Predicted(NamedTuple):
 
     @property
     def left_out(self) -> Predicted | None:
-        """What is compared with it: nothing, in place of a pattern the noise alone that its doubt is in all
-        pixels. Where their noise is stronger than it was taken to be, doubt describes them better by itself.
-        """
+        """What a model without the finding has in its place: of a pattern the noise that its doubt is, the
+        same in all pixels. Where noise is stronger than the model has it, more of it is a gain by itself."""
         if self.pattern is None:
             return None
         return Predicted(self.scaling, np.zeros((1, 1)), float(np.mean(self.doubt)))

@@ -182,8 +182,8 @@ def _shortest_dark(stacks: list[Stack]) -> Stack | None:
 
 def _shortest(stacks: list[Stack]) -> float:
     """Exposure of the shortest dark that shows noise, s; an unknown one is taken as none."""
-    repeated = (s for s in stacks if s.recording.kind in DARK and len(s.contrasts))
-    return min((s.recording.exposure_s or 0.0 for s in repeated), default=0.0)
+    dark = _shortest_dark(stacks)
+    return 0.0 if dark is None else dark.recording.exposure_s or 0.0
 
 
 def _of_curve(stacks: list[Stack]) -> list[Stack]:
