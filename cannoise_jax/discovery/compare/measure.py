@@ -66,7 +66,7 @@ def measure(
 ) -> Measured:
     """Every family of one view. level_known: whether the mean of the frames is the simulator's to tell;
     degree: of the surface that was taken out of the static map; variance: of a pixel of every site, DN^2;
-    step: of the codes, DN; follows: whether every frame but the first was taken right after the one before
+    step: of the codes, DN; follows: whether every frame but the first was taken soon after the one before
     it here, None: all were. Of those that were not nothing tells what a frame keeps of another."""
     families: dict[str, Statistics] = {}
     n, size = len(seen.z), seen.kept.size

@@ -147,7 +147,7 @@ def _one(
     variance = np.array([float(np.mean(v)) for v in noise.variance])
     degree = light.degree if light is not None else 0
     coarse = is_coarse(variance, step)
-    follows = np.diff(chosen[1]) == 1
+    follows = np.diff(chosen[1]) <= _NEAR
     real = measure(view(raw, noise, fitted, light, step, coarse), level, degree, variance, step, follows)
     simulated = []
     while raws:
@@ -172,6 +172,9 @@ def _one(
     )
 
 
+_NEAR = 2
+"""Frames apart up to which one may keep enough of another: of many frames every second one is looked at, of
+which every fourth is held back."""
 _TRIES = 3
 """Times that a light is asked for until its mean is that of the recording."""
 
