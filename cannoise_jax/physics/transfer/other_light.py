@@ -90,6 +90,8 @@ def _unlike(
     found: tuple[float, str] | None = None
     sure = float(stats.t.isf(_CHANCE / (4 * _BANDS), min(short.recording.count, long.recording.count) - 1))
     for axis, what in enumerate(("rows", "columns")):
+        if short.mean.shape[axis] < _BANDS:
+            continue
         one, other = _profile(short, darks, axis), _profile(long, darks, axis)
         if min(one.light.min(), other.light.min()) <= 0:
             continue
