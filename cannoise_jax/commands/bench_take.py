@@ -236,8 +236,7 @@ def _diagnosis(content: dict[str, Any]) -> _Parts:
     rows = []
     for finding in content["findings"]:
         size, gain = finding["amplitude"], finding["heldout_gain_nats"]
-        term = VOCABULARY.get(finding["mechanism"])
-        meaning = meaning_in(finding, term)
+        meaning = meaning_in(finding, VOCABULARY.get(finding["mechanism"]))
         value, interval = (amount(size[part], size["unit"], meaning) for part in ("value", "ci90"))
         strength = f"{value} ({interval})" if size["ci90"][0] < size["ci90"][1] else value
         shown = "not measured" if gain is None else nats(gain, finding["heldout_pixels"] or 0)

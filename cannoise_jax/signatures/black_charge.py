@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
 
 from cannoise_jax.physics.robust import median
-from cannoise_jax.signatures.fields import Fields, native
+from cannoise_jax.signatures.fields import Fields, mean_of_frames, native
 
 
 def charge_in_black(darks: Sequence[Fields], longest: float) -> dict[int, float]:
@@ -30,12 +29,6 @@ def charge_in_black(darks: Sequence[Fields], longest: float) -> dict[int, float]
         _, seconds, near = min(more)
         short, other = native(own[first]), native(own[near])
         kept = short.usable & other.usable
-        risen = float(median((_level(other) - _level(short))[kept])) if kept.any() else 0.0
+        risen = float(median((mean_of_frames(other) - mean_of_frames(short))[kept])) if kept.any() else 0.0
         out[group] = max(risen, 0.0) * least / (seconds - least)
     return out
-
-
-def _level(f: Fields) -> Float[np.ndarray, "h w"]:
-    """Mean of the frames of a dark, DN."""
-    assert f.static is not None
-    return f.mean + f.static * f.sigma / np.sqrt(f.frames)

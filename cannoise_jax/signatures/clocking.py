@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 from scipy import stats
@@ -10,16 +11,14 @@ from scipy import stats
 from cannoise_jax.physics.robust import median
 from cannoise_jax.signatures.events import (
     Heights,
+    Hidden,
     Spikes,
-    find,
-    heights,
     limit_of,
     restless,
     spike_score,
     without_spikes,
 )
 from cannoise_jax.signatures.fields import Fields
-from cannoise_jax.signatures.handed import Many
 from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.score import Score
 from cannoise_jax.signatures.signature import CONTRASTS, STATIC, Axes, Signature
@@ -52,9 +51,9 @@ def _multiplied(spikes: Heights) -> float:
     return mean if float(np.sum(spread)) > float(np.sum(alike)) else 0.0
 
 
-def hidden(fields: tuple[Fields, ...], found: list[Spikes], spikes: Heights) -> float:
-    """How many single electrons are freed for each that stands out of the noise and is counted; infinite
-    where none does."""
+def hidden(fields: tuple[Fields, ...], found: list[Spikes], spikes: Heights) -> Hidden:
+    """How many single electrons are freed for each that stands out of the noise and is counted, and how large
+    a multiplied one is."""
     by_number, size = {f.number: f for f in fields}, _multiplied(spikes)
     seen = frames = 0.0
     for s in found:
@@ -67,9 +66,10 @@ def hidden(fields: tuple[Fields, ...], found: list[Spikes], spikes: Heights) -> 
             share = float(np.mean(np.where(f.usable, stats.norm.sf(limit_of(f) - height), 0.0)))
         seen += s.frames * share
         frames += s.frames
+    each = size / float(spikes.gain.mean()) if size else 1.0
     if seen <= _NONE_SEEN * frames:
-        return float("inf")
-    return frames / seen / _counted(found)
+        return Hidden(float("inf"), each)
+    return Hidden(frames / seen / _counted(found), each)
 
 
 def _counted(found: list[Spikes]) -> float:
@@ -80,16 +80,6 @@ def _counted(found: list[Spikes]) -> float:
     kept = [own[n] * float(np.prod(still[:n] + still[n + 1 :])) for n in range(len(found))]
     number = [float(s.up.sum()) for s in found]
     return max(float(np.average(kept, weights=number)), _LEAST_COUNTED) if sum(number) else 1.0
-
-
-def clocking_score(fields: Many) -> Score[float] | None:
-    """Electrons per pixel and frame. Payload: mean size of one, over the gain that variance tells."""
-    score = spike_score(fields, kind="clocking", hidden=hidden)
-    if score is None:
-        return None
-    spikes = heights(fields, [s for s in find(fields) if s.dark])
-    size = _multiplied(spikes)
-    return score.replace(payload=size / float(spikes.gain.mean()) if size else 1.0)
 
 
 def clocking(*, name: str, mechanism: str, covers: tuple[str, ...], lifted_by: tuple[str, ...]) -> Signature:
@@ -104,7 +94,7 @@ def clocking(*, name: str, mechanism: str, covers: tuple[str, ...], lifted_by: t
         name=name,
         axes=Axes("pixel", "pixel", "redrawn", "additive", "sparse"),
         reads=CONTRASTS | STATIC | {"signal"},
-        score=clocking_score,
+        score=partial(spike_score, kind="clocking", hidden=hidden),
         absorb=without_spikes,
         simulate=carried(lambda s: {"charge_e": s.amplitude * (s.payload or 1.0)}),
         covers=covers,

@@ -12,7 +12,7 @@ import numpy as np
 from cannoise_jax.physics.core.grammar import Point, amplitude_name
 from cannoise_jax.recordings.recording import DARK
 from cannoise_jax.signatures.added import strength
-from cannoise_jax.signatures.fields import Fields, channel_index, native
+from cannoise_jax.signatures.fields import Fields, channel_index, mean_of_frames, native
 from cannoise_jax.signatures.handed import Addition, Found
 from cannoise_jax.signatures.least import (
     template,
@@ -43,9 +43,7 @@ def _moments(field: Fields, clean: np.ndarray, span: float) -> list[_Moments]:
     assert field.static is not None
     channel = channel_index(field.mean.shape)
     weight = field.frames * field.weight.astype(np.float64) ** 2
-    rest = (
-        field.mean + field.static * field.sigma / np.sqrt(field.frames) - field.black[channel] - span * clean
-    )
+    rest = mean_of_frames(field) - field.black[channel] - span * clean
     out = []
     for c in range(4):
         chosen = (channel == c) & field.usable

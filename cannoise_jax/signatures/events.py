@@ -232,15 +232,27 @@ def heights(fields: tuple[Fields, ...], found: list[Spikes]) -> Heights:
     return Heights(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-Hidden = Callable[[tuple[Fields, ...], list[Spikes], Heights], float]
-"""How many events there are for each that stands out of the noise; infinite where none can."""
+class Hidden(NamedTuple):
+    """How many events there are for each that stands out of the noise, infinite where none can; and their
+    mean size over that of one electron by the gain that variance tells."""
+
+    times: float = 1.0
+    size: float = 1.0
+
+
+def nothing_hidden(fields: tuple[Fields, ...], found: list[Spikes], spikes: Heights) -> Hidden:
+    """Events that all stand out."""
+    return Hidden()
 
 
 def spike_score(
-    fields: tuple[Fields, ...], *, kind: str, hidden: Hidden = lambda fields, found, spikes: 1.0
-) -> Score | None:
+    fields: tuple[Fields, ...],
+    *,
+    kind: str,
+    hidden: Callable[[tuple[Fields, ...], list[Spikes], Heights], Hidden] = nothing_hidden,
+) -> Score[float] | None:
     """Spikes of single frames as hits of cosmic rays make them, or as clocking does. Amplitude: events per
-    megapixel and second, or electrons per pixel and frame."""
+    megapixel and second, or electrons per pixel and frame. Payload: `Hidden.size`."""
     found = find(fields)
     if kind == "clocking":
         found = [s for s in found if s.dark]
@@ -258,7 +270,7 @@ def spike_score(
         volume = sum(s.frames for s in found) * float(size)
     unit = 1 / volume if volume > 0 else float("inf")
     spikes = heights(fields, found)
-    times = hidden(fields, found, spikes)
+    times, each = hidden(fields, found, spikes)
     events, charge = seen.up, _charge(found, spikes)
     if kind == "hits":
         events, charge = _of_tracks(fields, found, seen, charge)
@@ -275,6 +287,7 @@ def spike_score(
         power=1,
         parameters={"charge_e": (charge, "e-", charge / np.sqrt(max(events, 1)))},
         where=where,
+        payload=each,
     )
 
 

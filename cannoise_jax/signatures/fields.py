@@ -122,6 +122,17 @@ def native(field: Fields) -> Fields:
     return referred(field, 1.0)
 
 
+def stays_dn(field: Fields) -> Float[np.ndarray, "h w"]:
+    """What the mean of the frames has beyond the one that is expected, DN."""
+    assert field.static is not None
+    return field.static * field.sigma / np.sqrt(field.frames)
+
+
+def mean_of_frames(field: Fields) -> Float[np.ndarray, "h w"]:
+    """The mean of the frames, DN."""
+    return field.mean + stays_dn(field)
+
+
 @remembered("usable", "sigma")
 def _weight(field: Fields) -> Float[np.ndarray, "h w"]:
     out = field.usable / field.sigma

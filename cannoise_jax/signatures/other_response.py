@@ -20,7 +20,7 @@ from cannoise_jax.physics.robust import median, robust_std
 from cannoise_jax.recordings.packing import SITES
 from cannoise_jax.signatures.added import placed
 from cannoise_jax.signatures.defects import LOST
-from cannoise_jax.signatures.fields import Fields, native, without_pixels
+from cannoise_jax.signatures.fields import Fields, native, stays_dn, without_pixels
 from cannoise_jax.signatures.handed import Many
 from cannoise_jax.signatures.plain import plain
 from cannoise_jax.signatures.score import LEAST_LOG_P, SHARE_OF_FEW, Score
@@ -125,7 +125,7 @@ def _level_in_darks(flat: Fields, fields: Many) -> tuple[Float[np.ndarray, "h w"
         return np.zeros(flat.mean.shape), False
     long = flat.exposure_s or 0.0
     dark = min(darks, key=lambda f: abs(np.log(max(f.exposure_s or 0.0, 1e-6) / max(long, 1e-6))))
-    off = dark.static * dark.sigma / np.sqrt(dark.frames)
+    off = stays_dn(dark)
     of_longer = min(long / dark.exposure_s, 1.0) if long and dark.exposure_s else 1.0
     # What is noise is nothing that the pixel has.
     noise = 3 * dark.sigma / np.sqrt(dark.frames)

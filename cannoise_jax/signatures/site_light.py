@@ -21,7 +21,7 @@ from cannoise_jax.physics.robust import median, robust_std
 from cannoise_jax.recordings.recording import mosaic_map
 from cannoise_jax.signatures.added import placed
 from cannoise_jax.signatures.channel_levels import CONTRASTS, parted_errors, shortest_dark
-from cannoise_jax.signatures.fields import Fields, native
+from cannoise_jax.signatures.fields import Fields, mean_of_frames, native
 from cannoise_jax.signatures.handed import Addition, Found, Many
 from cannoise_jax.signatures.recorded import Recorded
 from cannoise_jax.signatures.remembered import remembered
@@ -119,7 +119,7 @@ def looking_at(flats: Sequence[Fields]) -> Look:
 def _light(f: Fields) -> Float[np.ndarray, "h w"]:
     """Mean of all frames above black, DN."""
     black = mosaic_map(np.asarray(f.black, np.float64), f.mean.shape)
-    return (f.mean + f.static * f.sigma / np.sqrt(f.frames) - black).astype(np.float32)
+    return (mean_of_frames(f) - black).astype(np.float32)
 
 
 def errors_of_black(darks: Sequence[Fields]) -> dict[int, Float[np.ndarray, "3"]]:

@@ -11,7 +11,7 @@ from functools import partial
 
 import numpy as np
 
-from cannoise_jax.signatures.fields import Fields, channel_index
+from cannoise_jax.signatures.fields import Fields, channel_index, stays_dn
 from cannoise_jax.signatures.plain import carried, plain
 from cannoise_jax.signatures.score import ONE_PARAMETER, Score, student_log_p
 from cannoise_jax.signatures.signature import COVERS_NOTHING, NOT_SIMULATED, STATIC, Axes, Signature
@@ -22,7 +22,7 @@ def _columns(f: Fields, axis: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     channel's fitted offset and factor take of it is taken out of all."""
     assert f.static is not None
     weight = f.weight.astype(np.float64) ** 2 * f.frames
-    residual = f.static * f.sigma / np.sqrt(f.frames)
+    residual = stays_dn(f)
     values, templates, weights = [], [], []
     channel = channel_index(f.mean.shape)
     for c in range(4):

@@ -62,12 +62,12 @@ def measure(
     degree: int,
     variance: Float[np.ndarray, "4"],
     step: float,
-    follows: Bool[np.ndarray, "m"] | None = None,
+    follows: Bool[np.ndarray, "m"],
 ) -> Measured:
     """Every family of one view. level_known: whether the mean of the frames is the simulator's to tell;
     degree: of the surface that was taken out of the static map; variance: of a pixel of every site, DN^2;
     step: of the codes, DN; follows: whether every frame but the first was taken soon after the one before
-    it here, None: all were. Of those that were not nothing tells what a frame keeps of another."""
+    it. Of those that were not nothing tells what a frame keeps of another."""
     families: dict[str, Statistics] = {}
     n, size = len(seen.z), seen.kept.size
     coarse = is_coarse(variance, step)
@@ -87,7 +87,7 @@ def measure(
         frames = len(seen.single)
         if frames > 1:
             families[IN_ONE_FRAME] = _count(seen.single)
-        pairs = np.ones(frames - 1, bool) if follows is None else follows[: frames - 1]
+        pairs = follows[: frames - 1]
         if frames > 2 and pairs.any():
             inner = seen.z[: frames - 1]
             families[NEXT_FRAME] = _next(seen._replace(z=inner), share, pairs)

@@ -8,6 +8,7 @@ The mean of a scene is its reference after an affine refit per channel.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -59,7 +60,10 @@ def fit_baseline(stacks: list[Stack], iso: float | None) -> GroupBaseline:
     curves = [curve_of(without_flicker(s, black, shared), black) for s in chosen if len(s.contrasts)]
     levels, start = mark_full(levels_of(curves, black), chosen[0].step)
     levels, _ = mark_full(levels_of(curves, black, start), chosen[0].step)
-    cut = _lost_below(chosen, levels, black)
+    stored = _shortest_dark(chosen)
+    of_dark = [] if stored is None else [p for p in levels if p.recording == stored.number]
+    before = {} if stored is None else _before_rounding(stored, of_dark, black)
+    cut = np.zeros(4) if stored is None else _lost_below(stored, of_dark, before, black)
     lines = [
         _line(curves, [p for p in levels if p.channel == c and not p.full], c, chosen[0], cut[c])
         for c in range(4)
@@ -69,9 +73,8 @@ def fit_baseline(stacks: list[Stack], iso: float | None) -> GroupBaseline:
     common = _between_frames(dark, float(np.linalg.norm(read_error * read)) / 2)
     read_error = np.maximum(read_error, 2 * common / (2 * read))
     pedestal = black.copy()
-    if (dark_told := _shortest_dark(chosen)) is not None:
-        own = [p for p in levels if p.recording == dark_told.number]
-        pedestal, read = _before_rounding(dark_told, own, black, read)
+    for c, (level, noise) in before.items():
+        pedestal[c], read[c] = level, noise
     return GroupBaseline(
         gain=gain,
         read_noise=read,
@@ -110,15 +113,15 @@ def _between_frames(dark: list[Stack], known: float) -> float:
     return error if error > _MORE * known else 0.0
 
 
-def _lost_below(chosen: list[Stack], levels: list[Level], black: np.ndarray) -> np.ndarray:
-    """Variance of each channel of the shortest dark that is lost where values are cut off at code 0, DN^2:
-    that of flats is whole."""
-    out, dark = np.zeros(4), _shortest_dark(chosen)
+def _lost_below(
+    dark: Stack, levels: list[Level], before: Mapping[int, tuple[float, float]], black: np.ndarray
+) -> np.ndarray:
+    """Variance of each channel of a dark that is lost where values are cut off at code 0, DN^2: that of flats
+    is whole. before: see `_before_rounding`."""
+    out = np.zeros(4)
     for p in levels:
-        if dark is None or p.recording != dark.number or not _is_cut(p, black):
-            continue
-        if p.variance > (_TELLS * dark.step) ** 2:
-            _, read = _before_cut(dark, p)
+        if _is_cut(p, black) and p.variance > (_TELLS * dark.step) ** 2:
+            _, read = before[p.channel]
             out[p.channel] = max(read**2 + dark.step**2 / 12 - p.variance, 0.0)
     return out
 
@@ -197,19 +200,17 @@ def _of_curve(stacks: list[Stack]) -> list[Stack]:
     ]
 
 
-def _before_rounding(
-    dark: Stack, levels: list[Level], black: np.ndarray, read: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Black level and read noise (DN) before rounding and clipping where these change them, see
-    `physics.core.rounding`; else as they are."""
-    pedestal, read = black.copy(), read.copy()
+def _before_rounding(dark: Stack, levels: list[Level], black: np.ndarray) -> dict[int, tuple[float, float]]:
+    """By channel, black level and read noise (DN) before rounding and clipping where these change them, see
+    `physics.core.rounding`."""
+    out = {}
     for p in levels:
         if _is_cut(p, black):
-            pedestal[p.channel], read[p.channel] = _before_cut(dark, p)
+            out[p.channel] = _before_cut(dark, p)
         elif np.sqrt(p.variance) <= COARSE * dark.step:
             level, spread = level_and_spread(dark.mean[SITES[p.channel]], p.variance, dark.frames, dark.step)
-            pedestal[p.channel], read[p.channel] = before_rounding(level, p.variance, dark.step, spread)
-    return pedestal, read
+            out[p.channel] = before_rounding(level, p.variance, dark.step, spread)
+    return out
 
 
 def _shared_by_rows(dark: list[Stack]) -> np.ndarray:

@@ -96,19 +96,18 @@ def refuted(step: Step, proof: Proof) -> bool:
     be the same in both: of one that the frames held back have at no strength nothing would be handed back but
     its name; and a pattern that stays is where it was. What would take from the gain what it is needs a name
     and has to be confirmed: no draw shows which of both it is."""
-    found, again = step.named.score, proof.score
-    if step.named.signature.of_gain and (step.named.mechanism == UNKNOWN or not proof.confirmed):
+    found, again, signature = step.named.score, proof.score, step.named.signature
+    if signature.of_gain and (step.named.mechanism == UNKNOWN or not proof.confirmed):
         return True
     if step.late or again is None or proof.confirmed or proof.gain is None:
         return False
-    signature = step.named.signature
     if signature.drawn_once and again.amplitude == 0:
         return True
     if proof.gain > 0:
         return False
     if signature.frozen and signature.reads != FILES and not found.same_spot(again):
         return True
-    if step.named.signature.single_pixels:
+    if signature.single_pixels:
         return False  # a few pixels may not jump again in few frames
     if step.named.mechanism == UNKNOWN:
         return True

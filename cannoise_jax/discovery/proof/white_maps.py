@@ -212,12 +212,12 @@ def _of_parts(one: Float[np.ndarray, "h w"], two: Float[np.ndarray, "h w"]) -> _
     """What pixels some way along a line have alike, beyond those across it. What whole lines share is taken
     out of the map; where halves are read by amplifiers of their own, what these differ by stays in it, and is
     of no scale that single pixels are told by."""
-    one, two = one - one.mean(), two - two.mean()
-    own = float(np.mean(one * two))
-    error = float(np.sqrt(np.mean(one**2) * np.mean(two**2) / one.size))
     found = _Parts(0.0, "")
     if min(one.shape) <= max(*_APART, *_ACROSS):
         return found
+    one, two = one - one.mean(), two - two.mean()
+    own = float(np.mean(one * two))
+    error = float(np.sqrt(np.mean(one**2) * np.mean(two**2) / one.size))
     for axis, (a, b) in (("column", (one, two)), ("row", (one.T, two.T))):
         along = np.mean([_alike(a, b, k) for k in _APART])
         more = float(along - np.sqrt(np.mean([_alike(a.T, b.T, k) ** 2 for k in _ACROSS])))

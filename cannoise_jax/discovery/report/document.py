@@ -86,7 +86,9 @@ def document(
     named = {f["mechanism"] for f in findings}
     listed = {c["mechanism"] for f in findings for c in f["candidates"] if f["outcome"] == "AMBIGUOUS"}
     missing = []
-    gain_known = any(b["gain_measured"] for b in outcome.baseline(diagnosis))
+    baseline = outcome.baseline(diagnosis)
+    gain_known = any(b["gain_measured"] for b in baseline)
+    excess = {e.mechanism for e in diagnosis.excess}
     counted = {s.mechanism for s in diagnosis.first.signatures if s.counted}
     of_gain = {id for id in diagnosis.testable if "e-" in diagnosis.terms[id].unit} - counted
     for id in diagnosis.testable:
@@ -96,15 +98,14 @@ def document(
         differs = [] if absorbed else still_differs(diagnosis, id)
         # Without a gain there are no electrons.
         unknown = id in of_gain and not gain_known
-        more = any(e.mechanism == id for e in diagnosis.excess)
-        limit = None if absorbed or differs or unknown or more else detectable(diagnosis, id)
+        limit = None if absorbed or differs or unknown or id in excess else detectable(diagnosis, id)
         smallest = None if limit is None else {"value": limit[0], "unit": limit[1]}
         missing.append(
             {
                 "mechanism": id,
                 "smallest_detectable": smallest,
                 **({"ambiguous": True} if id in listed else {}),
-                **({"too_much": True} if more else {}),
+                **({"too_much": True} if id in excess else {}),
                 **({"part_of": parts[id]} if id in parts else {}),
                 **({"absorbed_by": absorbed} if absorbed and id not in parts else {}),
                 **({"still_differs": differs} if differs and id not in parts else {}),
@@ -128,7 +129,7 @@ def document(
             "inputs": inputs,
             "faults": fault_lines(diagnosis.faults),
             "verdict": diagnosis.verdict,
-            "baseline": outcome.baseline(diagnosis),
+            "baseline": baseline,
             "not_measured": outcome.not_measured(diagnosis),
             "shadows": light.shadowed(diagnosis),
             "too_much": [too_much(e, diagnosis.terms[e.mechanism]) for e in diagnosis.excess],

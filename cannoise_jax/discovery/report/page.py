@@ -188,7 +188,7 @@ def sites(values: list[float]) -> str:
 
 def strength(terms: dict[str, Term], mechanism: str, values: Any, of: str | None) -> str:
     """A strength of a mechanism, or an interval of it, with its unit; fractions in percent."""
-    return amount(values, of, "" if mechanism == UNKNOWN else terms[mechanism].amplitude)
+    return amount(values, of, terms[mechanism].amplitude)
 
 
 def strength_of(terms: dict[str, Term], finding: dict[str, Any], values: Any) -> str:

@@ -41,6 +41,7 @@ from cannoise_jax.physics.transfer.quantities import (
 from cannoise_jax.physics.transfer.quiet import (
     BELOW_A_CODE,
     hidden_in_a_code,
+    loses_noise,
     noise_below_a_code,
     unchanging,
     with_rounding_told,
@@ -49,7 +50,6 @@ from cannoise_jax.physics.transfer.rails import (
     LINEAR,
     STILL,
     below_rail,
-    is_cut_off,
     lit_of,
     moved,
     with_measured_black,
@@ -282,7 +282,7 @@ def _line(
     own_codes = step if dark is None else own_step(dark, step)
     quiet = None if dark is None else noise_below_a_code(dark, own_codes, c)
     bounded = quiet is not None and quiet.read.ci90[0] <= 0
-    cut = dark is not None and is_cut_off(dark, c) and not hidden_in_a_code(dark, own_codes, c)
+    cut = dark is not None and loses_noise(dark, own_codes, c)
     if bounded or cut:  # then flats of several levels tell the slope alone, and the dark would bend it
         line = fit_line([level for level in levels if not level.known_signal], step**2 / 12)
         if line is not None and line.slope.stderr < _TELLS * line.slope.value:

@@ -30,6 +30,7 @@ from cannoise_jax.physics.transfer.quiet import (
     BELOW_A_CODE,
     coarse,
     hidden_in_a_code,
+    loses_noise,
     mean_square_of,
     noise_below_a_code,
     square_below_a_code,
@@ -129,7 +130,7 @@ def _with_rows(
     pixel, rows included."""
     if isinstance(pixels, NotMeasurable):
         return pixels
-    if is_cut_off(dark, c) and not hidden_in_a_code(dark, step, c):
+    if loses_noise(dark, step, c):
         return NotMeasurable(CUT_OFF)
     values = site(each, c)
     rows_error = np.sqrt(2 / dark.row_means[1:, :, 0].size)
@@ -153,7 +154,7 @@ def _with_rows(
 def _as_recorded(sigma: Outcome, dark: FrameStatistics | None, step: float, c: int) -> Outcome:
     """The temporal noise of the codes of a dark, rows and quantisation included, DN: sigma_y.dark of EMVA
     1288. sigma: of the pixels without either, which tells it where there is no dark."""
-    if dark is None or dark.total is None or (is_cut_off(dark, c) and not hidden_in_a_code(dark, step, c)):
+    if dark is None or dark.total is None or loses_noise(dark, step, c):
         if isinstance(sigma, NotMeasurable):
             return sigma
         low, value, high = (

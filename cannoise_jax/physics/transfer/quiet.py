@@ -67,7 +67,7 @@ def noise_below_a_code(dark: FrameStatistics, step: float, c: int) -> QuietNoise
     """The noise of darks that are quieter than about a code, None of others: what rounds to their variance at
     the levels of these pixels; that variance less step^2 / 12 is something else."""
     hidden = hidden_in_a_code(dark, step, c)
-    if dark.variance is None or (is_cut_off(dark, c) and not hidden):
+    if dark.variance is None or loses_noise(dark, step, c):
         return None
     square, stderr = square_below_a_code(pixel_variance(dark, c), dark.dof, step)
     if not hidden and not 0 < square < (COARSE**2 + 1 / 12) * step**2:
@@ -222,6 +222,11 @@ def rounding_of_offsets(s: FrameStatistics, c: int) -> float:
 def step_of(s: FrameStatistics) -> float:
     """Spacing of the codes of a recording, DN; 1 where they are too few to show it."""
     return max(s.code_step, 1.0)
+
+
+def loses_noise(dark: FrameStatistics, step: float, c: int) -> bool:
+    """Whether the lower end of its noise is cut off, and not a noise of less than a code piled up there."""
+    return is_cut_off(dark, c) and not hidden_in_a_code(dark, step, c)
 
 
 def hidden_in_a_code(dark: FrameStatistics, step: float, c: int) -> bool:

@@ -45,7 +45,7 @@ from cannoise_jax.recordings.unfinished import is_finished
 
 _KEPT = 6
 """Conversions that a cache keeps beside those in use."""
-STACKS = (*TIFF_SUFFIXES, *NUMPY_SUFFIXES)
+_STACKS = (*TIFF_SUFFIXES, *NUMPY_SUFFIXES)
 _MAKING = ".making-"
 _SOURCES = "sources.json"
 """In a cached conversion: the files of every recording, below the folder."""
@@ -235,7 +235,7 @@ def _is_repeat(path: Path) -> bool:
         return False
     if kind != "flat" and kind not in DARK:
         return False
-    return suffix_of(path) in PICTURES or (suffix_of(path) in STACKS and _frames_of(path) == 1)
+    return suffix_of(path) in PICTURES or (suffix_of(path) in _STACKS and _frames_of(path) == 1)
 
 
 def _frames_of(path: Path) -> int:
